@@ -43,7 +43,7 @@ def main() -> None:
             known, unseen = Path(folder) / "known", Path(folder) / "unseen"
             write_campaign(known, rig, tests={"ramp": 3, "prbs": TESTS}, seed=arguments.seed)
             write_campaign(unseen, rig, tests={"prbs": UNSEEN[rig]}, seed=7)
-            model = hitchid.identify(hitchid.read(known), training=CompensatorConfig(baselines=False)).model
+            model = hitchid.identify(hitchid.read(known), training=CompensatorConfig()).model
             tests = hitchid.read(unseen)
         for direction, channel in model.channels.items():
             bands = model.uncertainty[direction].bands

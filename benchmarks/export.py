@@ -102,7 +102,7 @@ def main() -> int:
 
 def rig_a() -> hitchid.Hitch:
     """Return the default model of rig-a."""
-    training = CompensatorConfig(baselines=False)
+    training = CompensatorConfig()
     return hitchid.identify(hitchid.read(DATA / "rig-a"), training=training).model
 
 

@@ -35,7 +35,7 @@ SETTINGS: Settings = {
     "structure": {"lifting": "integrator-second-order", "lowering": "integrator-first-order"},
     "search": MultiStart(evaluations=200),
     "training": None,
-    "comparison": None,
+    "rivals": None,
 }
 
 

@@ -31,7 +31,7 @@ from hitchid.identification.preparation import mixed_dead_zones
 from hitchid.structures import ModelSpec, structure_named
 
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))
-TRAINING = CompensatorConfig(baselines=False)
+TRAINING = CompensatorConfig()
 SHOWN = (1, 10, 100)
 KNOWN_TESTS, UNSEEN_TESTS = 20, 40  # of a rig of the virtual bench, a direction
 STAGES = {

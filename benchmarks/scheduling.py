@@ -27,7 +27,7 @@ IMPLEMENTS_KG, OIL_C = tuple(np.linspace(450.0, 1300.0, 6)), tuple(np.linspace(5
 ALONE = ((450.0, 5.0), (960.0, 37.5), (1300.0, 70.0))  # kg, °C: conditions with a model of their own
 TESTS, TESTS_ALONE = 2, 20  # tests of a direction in each condition, and for a model of one condition
 AFTER_MOTION_S = (1.0, 2.0)  # of measured motion, from which the covariates are estimated
-FAST = {"training": None, "comparison": None}
+FAST = {"training": None, "rivals": None}
 CAMPAIGNS, COVARIATES = 200, ("engine", "flow", "oil")
 
 

@@ -103,7 +103,7 @@ def quick_settings():
 
     return {
         "structure": PAPER_SPECS,
-        "comparison": None,
+        "rivals": None,
         "search": MultiStart(evaluations=60),
         "training": CompensatorConfig(
             hidden=6,

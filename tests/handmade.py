@@ -18,12 +18,12 @@ from hitchid.data.record import LIFTING, LOWERING
 from hitchid.model import (
     Bands,
     Channel,
-    Comparison,
     EnsembleMember,
     Estimates,
     Hitch,
     PredictionSpread,
     Provenance,
+    Rivals,
     Uncertainty,
 )
 from hitchid.model.load_filter import LoadFilter
@@ -177,14 +177,14 @@ def comparison(mode):
         "narx": Narx(scaling, terms, coefficients, np.array(20.0), np.array(0.5)),
         "lstm": black_box(),
     }
-    return Comparison(baselines, channel(mode, "first-order-lag", compensated=True))
+    return Rivals(baselines, channel(mode, "first-order-lag", compensated=True))
 
 
 def hitch(structure="integrator", *, modes=(LIFTING, LOWERING), provenance=None, baselines=False, **options):
     """Return a model of one or two like channels at 100 Hz in mm and A."""
     channels = {mode: channel(mode, structure, **options) for mode in modes}
     compared = {mode: comparison(mode) for mode in modes} if baselines else {}
-    return Hitch(channels, STEP_S, UNITS, provenance or Provenance(), comparison=compared)
+    return Hitch(channels, STEP_S, UNITS, provenance or Provenance(), rivals=compared)
 
 
 def hitch_of(*channels, step_s=STEP_S, drift=0.0):

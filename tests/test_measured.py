@@ -17,7 +17,7 @@ from hitchid.identification.preparation import prepare
 def test_the_lag_of_the_papers_lowering_model_is_not_printed_as_if_it_were_determined(data):
     whole = read(data("rig-a"))
     campaign = replace(whole, records=(*whole.of_kind(LOWERING), *whole.ramps(LOWERING)))
-    model = identify(campaign, structure=PAPER_SPECS, training=None, comparison=None).model
+    model = identify(campaign, structure=PAPER_SPECS, training=None, rivals=None).model
     result = validate(model, campaign)
     known = result.metrics["channels"]["lowering"]["parameters"]["estimates"]
     lag = known["time_constant"]

@@ -15,7 +15,7 @@ from .outcome import MODEL, REFUSED, Outcome, run_guarded
 from .rivals import WORSE, best_rival, difference
 from .zoo import Truth, draw
 
-PHYSICS = {"training": None, "comparison": None}
+PHYSICS = {"training": None, "rivals": None}
 GROSS_MISS_WIDTHS = 2.0
 MAX_STEPS = 50
 # A refusal names what it got and what was expected, or what to change or to measure.

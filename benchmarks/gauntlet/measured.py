@@ -10,7 +10,6 @@ import numpy as np
 
 import hitchid
 from hitchid.data.record import COMMAND, DISPLACEMENT, IDLE, LIFTING
-from hitchid.identification import CompensatorConfig
 from hitchid.structures import ModelSpec, structure_named
 
 from .bars import holds, read_bars
@@ -80,7 +79,7 @@ def _times(campaign: hitchid.Campaign, name: str) -> dict[str, float]:
         hitchid.identify(campaign)
     if name in TIMED_WITHOUT_RIVALS:
         with timing.timed("identify without rivals"):
-            hitchid.identify(campaign, training=CompensatorConfig(baselines=False))
+            hitchid.identify(campaign)
     factor = slowness(seconds_before, seconds_of_work())
     times = {f"{stage} / s": seconds / factor for stage, seconds in timing.seconds.items()}
     return {"times longer than on the reference machine": factor, **times}

@@ -24,8 +24,8 @@ def main(folders: Sequence[Path], *, physics: bool) -> None:
 
     options = {
         "structure": PAPER_SPECS,
-        "training": None if physics else CompensatorConfig(free_run=None, baselines=False),
-        "comparison": None,
+        "training": None if physics else CompensatorConfig(free_run=None),
+        "rivals": None,
     }
     campaigns = [read(folder) for folder in folders]
     if len(campaigns) == 1:

@@ -32,7 +32,7 @@ spec = ModelSpec(
     covariates=(CovariateEffects("pressure_bar"),),
 )
 structures = {"lifting": spec, "lowering": spec}
-model = hitchid.identify(hitchid.read("logs"), structure=structures, training=None, comparison=None).model
+model = hitchid.identify(hitchid.read("logs"), structure=structures, training=None, rivals=None).model
 for direction, channel in model.channels.items():
     print(direction, "varies with", *channel.benchmark.covariates)
 

@@ -46,7 +46,7 @@ spec = ModelSpec(
     valve_curve=True,
     covariates=(CovariateEffects("head_pressure"),),
 )
-found = hitchid.identify(campaign, structure={"lifting": spec}, training=None, comparison=None)
+found = hitchid.identify(campaign, structure={"lifting": spec}, training=None, rivals=None)
 
 # %% [markdown]
 # ## Free run on the held-out tests

@@ -50,7 +50,7 @@ for finding in audit(campaign):
 
 # %%
 structures = {"lifting": "integrator-second-order", "lowering": "first-order-lag"}
-model = hitchid.identify(campaign, structure=structures, training=None, comparison=None).model
+model = hitchid.identify(campaign, structure=structures, training=None, rivals=None).model
 
 # %% [markdown]
 # Each parameter has a 95 % interval and a verdict. Tests of ten seconds do not determine the time constant of lowering:

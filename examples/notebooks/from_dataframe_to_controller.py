@@ -38,7 +38,7 @@ signals = {"lifting_command": "current_up_A", "lowering_command": "current_down_
 frames = [pandas.read_csv(f"logs/lifting-{number:02}.csv") for number in range(1, 7)]
 campaign = hitchid.Campaign.from_dataframes(frames, signals=signals)
 structure = {"lifting": "integrator-second-order"}
-model = hitchid.identify(campaign, structure=structure, training=None, comparison=None).model
+model = hitchid.identify(campaign, structure=structure, training=None, rivals=None).model
 
 # %% [markdown]
 # ## Parameters

@@ -23,7 +23,7 @@ from hitchid.experiments.virtual_campaign import write_campaign
 
 write_campaign("logs", tests={"prbs": 6}, force=True)
 structures = {"lifting": "integrator-second-order", "lowering": "integrator-first-order"}
-model = hitchid.identify(hitchid.read("logs"), structure=structures, training=None, comparison=None).model
+model = hitchid.identify(hitchid.read("logs"), structure=structures, training=None, rivals=None).model
 
 # %% [markdown]
 # ## A tuned controller, and the delay that it bears

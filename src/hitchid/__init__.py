@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from hitchid.data.record import Record as Record
     from hitchid.identification import identify as identify
     from hitchid.identification import identify_many as identify_many
+    from hitchid.identification import train_rivals as train_rivals
     from hitchid.model import Hitch as Hitch
     from hitchid.model import load as load
     from hitchid.model import save as save
@@ -37,6 +38,7 @@ _HOME = {
     "load": "hitchid.model",
     "read": "hitchid.readers",
     "save": "hitchid.model",
+    "train_rivals": "hitchid.identification",
     "validate": "hitchid.validation",
 }
 
@@ -53,6 +55,7 @@ __all__ = [
     "load",
     "read",
     "save",
+    "train_rivals",
     "validate",
 ]
 

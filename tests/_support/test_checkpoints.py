@@ -20,7 +20,7 @@ from hitchid._support.checkpoints import (
     remove_run,
 )
 from hitchid.errors import InputError, OutputError
-from hitchid.estimation import MultiStart, SearchComparison
+from hitchid.estimation import MultiStart
 from hitchid.identification.optional import attempt
 from hitchid.identification.selection import AutoStructure
 from hitchid.structures import ModelSpec, structure_named
@@ -376,7 +376,7 @@ BEGUN_FROM = AutoStructure(ModelSpec(structure_named("integrator"), bounds={"gai
         {"training": None},
         {"dead_zones": {"lifting": 0.35}},
         {"drift": True},
-        {"comparison": SearchComparison(seeds=1)},
+        {"rivals": False},
         {"seed": 1},
     ],
     ids=lambda change: next(iter(change)),

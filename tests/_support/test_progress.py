@@ -13,7 +13,7 @@ from hitchid._support.progress import (
     split_progress,
     subtask_progress,
 )
-from hitchid.cli.terminal_progress import BLOCKS, WIDTH, Curves, progress, sparkline
+from hitchid._support.progress_display import BLOCKS, WIDTH, Curves, progress, sparkline
 
 fractions = st.floats(0, 1)
 

@@ -40,7 +40,7 @@ def assert_same_arrays(one, other):
 def test_without_changes_it_is_the_same_model_bit_for_bit():
     same = changed_model(MODEL, {LIFTING: Changes(), LOWERING: Changes()}, {LIFTING: 1.0})
     assert dict(same.channels) == dict(MODEL.channels)
-    assert (same.uncertainty, same.comparison) == (MODEL.uncertainty, MODEL.comparison)
+    assert (same.uncertainty, same.rivals) == (MODEL.uncertainty, MODEL.rivals)
     assert same.provenance.adapted == {}
     found, expected = (each.simulate(commands(), step_s=0.01, initial=100.0) for each in (same, MODEL))
     np.testing.assert_array_equal(found.displacement, expected.displacement)
@@ -63,7 +63,7 @@ def test_a_changed_direction_leaves_the_other_one_as_it_is():
     changed = changed_model(MODEL, {LIFTING: CHANGES[LIFTING]})
     assert changed.channels[LOWERING] == MODEL.channels[LOWERING]
     assert changed.uncertainty[LOWERING] == MODEL.uncertainty[LOWERING]
-    assert list(changed.comparison) == [LOWERING]
+    assert list(changed.rivals) == [LOWERING]
     assert list(changed.provenance.adapted) == [LIFTING]
     only_lowering = commands() * [0, 1]
     found, expected = (

@@ -887,11 +887,11 @@ def test_identify_writes_a_model_and_prints_what_it_found(bench_folder, tmp_path
     arguments = ("identify", bench_folder, "--out", out, "--config", tmp_path / "quick.toml", "--seed", "3")
     shown = hitchid(*arguments)
     assert shown.code == 0
-    written = {"model.json", "weights.safetensors", "baselines.safetensors", "trace.json", MANIFEST_FILE}
+    written = {"model.json", "weights.safetensors", "trace.json", MANIFEST_FILE}
     assert {path.name for path in out.iterdir()} == written
     assert all(word in shown.out for word in ("lifting", "lowering", "dead zone", "mm/(s·A)"))
     assert max(map(len, shown.out.splitlines())) <= 80
-    assert "lowering: phase 2" in shown.err
+    assert "lowering: training the correction" in shown.err
     first = {path.name: path.read_bytes() for path in out.iterdir()}
     assert json.loads(first["model.json"])["seed"] == 3
     printed = hitchid(*arguments, "--force", "--json")

@@ -208,7 +208,7 @@ def test_an_identification_is_stopped_begun_anew_killed_and_gone_on_with(identif
 
     assert identify("--resume").end() == (0, "", "")
     assert left_in(tmp_path) == ["model"]
-    written = [".hitchid.json", "baselines.safetensors", "model.json", "trace.json", "weights.safetensors"]
+    written = [".hitchid.json", "model.json", "trace.json", "weights.safetensors"]
     assert left_in(tmp_path / "model") == written
 
 

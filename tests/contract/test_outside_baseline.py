@@ -56,7 +56,7 @@ def saved(tmp_path_factory):
             campaign(),
             structure={LIFTING: "integrator"},
             training=training,
-            comparison=None,
+            rivals=None,
             search=MultiStart(evaluations=20),
             dead_zones={LIFTING: 0.1},
         )
@@ -72,7 +72,7 @@ def test_it_is_fitted_saved_loaded_and_validated(saved, tmp_path, monkeypatch):
     install(tmp_path, monkeypatch)
     assert list(all_baselines())[-1] == NAME
     model = hitchid.load(saved)
-    assert model.comparison[LIFTING].baselines[NAME].speed == pytest.approx(SPEED, rel=1e-9)
+    assert model.rivals[LIFTING].baselines[NAME].speed == pytest.approx(SPEED, rel=1e-9)
     result = hitchid.validate(model, campaign())
     figures = result.metrics["channels"][LIFTING]
     assert figures["baselines"][NAME]["free_run"]["rmse"] == pytest.approx(0.0, abs=1e-9)

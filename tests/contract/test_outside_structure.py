@@ -69,7 +69,7 @@ def identified(installed, campaign):
     return hitchid.identify(
         campaign,
         training=None,
-        comparison=None,
+        rivals=None,
         search=MultiStart(evaluations=60),
         dead_zones={LIFTING: 0.0},
     )

@@ -9,7 +9,7 @@ QUICK = {
     "structure": {"lifting": "integrator", "lowering": "integrator"},
     "search": MultiStart(evaluations=60),
     "training": None,
-    "comparison": None,
+    "rivals": None,
 }
 QUICK_TOML = """
 [search]

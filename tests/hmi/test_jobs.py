@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid._support.progress import ProgressUpdate
-from hitchid.cli.terminal_progress import FORMAT_VARIABLE, progress
+from hitchid._support.progress_display import FORMAT_VARIABLE, progress
 from hitchid.errors import InputError
 from hitchid.hmi import jobs
 from hitchid.hmi.jobs import LINE_BYTES, LINES, POINTS, Job, Jobs, read_request

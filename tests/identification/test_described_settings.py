@@ -11,7 +11,7 @@ from hitchid.identification import read_settings
 from hitchid.identification.arguments import identification_config
 from hitchid.identification.identify import DEFAULT_STRUCTURES, PAPER_SPECS, identify
 
-NOT_SETTINGS = ("campaign", "progress", "checkpoints")
+NOT_SETTINGS = ("campaign", "progress", "checkpoints", "on_physics")
 SEARCH = {"method": "whale", "evaluations": 600, "population": 20, "stagnation": 7, "per_dimension": False}
 TRAINING = {
     "compensator": True,
@@ -22,7 +22,6 @@ TRAINING = {
     "batch": 16,
     "learning_rate": 0.01,
     "free_run": False,
-    "baselines": False,
 }
 
 

@@ -22,14 +22,14 @@ def campaigns(tmp_path_factory):
 
 
 def test_each_model_is_the_one_its_campaign_alone_gives(campaigns, quick_settings, tmp_path):
-    settings = {**quick_settings, "training": replace(quick_settings["training"], baselines=False)}
+    settings = {**quick_settings, "rivals": False}
     together = identify_many(campaigns, **settings)
     for number, (campaign, found) in enumerate(zip(campaigns, together, strict=True)):
         assert not isinstance(found, HitchError)
         folders = tmp_path / f"{number}-together", tmp_path / f"{number}-alone"
         found.save(folders[0])
         hitchid.identify(campaign, **settings).save(folders[1])
-        for name in ("model.json", "weights.safetensors", "baselines.safetensors"):
+        for name in ("model.json", "weights.safetensors", "rivals.json", "rivals.safetensors"):
             assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes()
 
 

@@ -150,7 +150,7 @@ def test_what_was_computed_for_the_old_values_is_dropped_in_that_direction_only(
         None,
     )
     assert changed.uncertainty[LIFTING] == Uncertainty(changed.uncertainty[LIFTING].benchmark)
-    assert set(changed.comparison) == {LOWERING}
+    assert set(changed.rivals) == {LOWERING}
     assert not changed.has_bands
     assert changed.channels[LOWERING] is model.channels[LOWERING]
     assert changed.uncertainty[LOWERING] is model.uncertainty[LOWERING]

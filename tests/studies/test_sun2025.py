@@ -23,14 +23,13 @@ def test_a_small_study_writes_every_table_and_figure(tmp_path):
         cycles=1,
         structure=PAPER_SPECS,  # which form hitchid chooses plays no part here
         search=MultiStart(evaluations=60),
-        comparison=None,
+        rivals=None,
         # Which compensator ships and what stands beside it play no part: the layout is the same.
         training=CompensatorConfig(
             hidden=6,
             window=20,
             adam=AdamConfig(epochs=6, patience=6),
             free_run=SpeedCompensatorConfig(units=2),
-            baselines=False,
         ),
     )
     study = reproduce(tmp_path / "study", plan=plan)

@@ -25,7 +25,7 @@ FORM = ModelSpec(structure_named("integrator-first-order"))
 QUICK = {
     "structure": {LIFTING: FORM, LOWERING: FORM},
     "search": MultiStart(evaluations=30),
-    "comparison": None,
+    "rivals": False,
     "training": CompensatorConfig(
         hidden=4, window=10, adam=AdamConfig(epochs=5, patience=5), free_run=SpeedCompensatorConfig(units=2)
     ),
@@ -54,7 +54,7 @@ def test_a_held_out_log_changes_neither_weights_nor_parameters(lifting_tests, tm
     for name, records in (("one", lifting_tests), ("two", [*lifting_tests[:4], spoilt(lifting_tests[4])])):
         identify(Campaign.of(records), **QUICK).save(tmp_path / name)
     one, two = tmp_path / "one", tmp_path / "two"
-    for file in ("weights.safetensors", "baselines.safetensors", "trace.json"):
+    for file in ("weights.safetensors", "rivals.safetensors", "trace.json"):
         assert (one / file).read_bytes() == (two / file).read_bytes()
     assert (one / "model.json").read_bytes() == (two / "model.json").read_bytes()
     described = json.loads((one / "model.json").read_bytes())
@@ -89,7 +89,7 @@ def test_of_mixed_logs_only_strokes_of_held_out_cycles_are_validated_on(cycles, 
     for name, records in (("one", cycles), ("two", [*cycles[:3], spoilt(cycles[3])])):
         found[name] = identify(Campaign.of(records), **settings)
         found[name].save(tmp_path / name)
-    for file in ("weights.safetensors", "baselines.safetensors", "trace.json"):
+    for file in ("weights.safetensors", "rivals.safetensors", "trace.json"):
         assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes()
     metrics = validate(found["one"].model, Campaign.of(cycles)).metrics
     assert metrics["cycles"]["tests"] == ["cycle-3"]

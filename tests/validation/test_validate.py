@@ -213,8 +213,8 @@ def test_figures_are_in_the_unit_of_the_log(tests_of, cycle):
 def test_errors_of_the_searches_are_in_the_unit_of_the_log_too(tests_of):
     known = with_bands(MODELS, LIFTING).uncertainty[LIFTING]
     search = SearchSummary("whale", (10.0,), (3,), (1,), (None, 20.0, 10.0), ((1.0,),) * 3)
-    compared = {LIFTING: replace(MODELS.comparison[LIFTING], searches=(search,))}
-    model = replace(MODELS, uncertainty={LIFTING: known}, comparison=compared)
+    compared = {LIFTING: replace(MODELS.rivals[LIFTING], searches=(search,))}
+    model = replace(MODELS, uncertainty={LIFTING: known}, rivals=compared)
     in_cm = [record.convert({"displacement": "cm"}) for record in tests_of()]
     search = validate(model, Campaign.of(in_cm)).metrics["channels"][LIFTING]["searches"]["whale"]
     assert search["rmse"] == pytest.approx([1.0], rel=1e-12)
@@ -321,7 +321,7 @@ def test_an_autoregression_is_iterated_over_a_horizon_from_what_was_measured(tes
     channel = validate(MODELS, Campaign.of(records)).metrics["channels"][LIFTING]
     measured = [record.displacement for record in records]
     travels = [y - y[:6].mean() for y in measured]
-    model = MODELS.comparison[LIFTING].baselines[name]
+    model = MODELS.rivals[LIFTING].baselines[name]
     batch = MODELS.channels[LIFTING].batch(records)
     inputs = [row[:, : len(y)] for row, y in zip(model.inputs(batch), measured, strict=True)]
     free = [y[:6].mean() + model.simulate(u) for y, u in zip(measured, inputs, strict=True)]
@@ -337,7 +337,7 @@ def test_an_autoregression_is_iterated_over_a_horizon_from_what_was_measured(tes
 def test_the_papers_method_is_its_own_transfer_function_and_the_echo_of_its_compensator(tests_of):
     records = tests_of()
     channel = validate(MODELS, Campaign.of(records)).metrics["channels"][LIFTING]
-    paper = MODELS.comparison[LIFTING].paper
+    paper = MODELS.rivals[LIFTING].paper
     measured = [record.displacement for record in records]
     batch = paper.batch(records)
     alone = replace(MODELS, channels={LIFTING: paper})
@@ -362,8 +362,8 @@ def one_way(record):
 
 
 def test_a_model_that_is_the_papers_stands_for_the_papers_method(tests_of):
-    compared = {mode: replace(each, paper=None) for mode, each in MODELS.comparison.items()}
-    model = replace(MODELS, comparison=compared)
+    compared = {mode: replace(each, paper=None) for mode, each in MODELS.rivals.items()}
+    model = replace(MODELS, rivals=compared)
     channel = validate(model, Campaign.of(tests_of())).metrics["channels"][LIFTING]
     assert channel["baselines"]["paper"]["one_step"] == channel["greybox"]["one_step"]
     assert channel["baselines"]["transfer_function"]["free_run"] == channel["benchmark"]["free_run"]

@@ -15,6 +15,7 @@ class ProgressUpdate(NamedTuple):
         iteration: such as `iteration 40`; may be empty.
         figures: name to present value of the minimised quantities.
         task: name of the parallel task; empty for a single one.
+        message: what has been reached, which stays to be read; empty for most updates.
     """
 
     stage: str
@@ -22,6 +23,7 @@ class ProgressUpdate(NamedTuple):
     iteration: str = ""
     figures: Mapping[str, float] = MappingProxyType({})
     task: str = ""
+    message: str = ""
 
 
 ProgressCallback = Callable[[ProgressUpdate], None]

@@ -87,8 +87,8 @@ def changed_model(
 ) -> Hitch:
     """Return a model with changed parameters of some directions; networks and curves stay.
 
-    The ensembles of the bands change as their channel does. Speed maps, Fisher information and comparison
-    models are of the identified values, and are left out of a direction that changed.
+    The ensembles of the bands change as their channel does. Speed maps, Fisher information and rivals
+    are of the identified values, and are left out of a direction that changed.
 
     Args:
         model: identified hitch.
@@ -96,7 +96,7 @@ def changed_model(
         band_factors: direction to a factor on the half width of its bands.
     """
     factors = band_factors or {}
-    channels, uncertainty, comparison = dict(model.channels), dict(model.uncertainty), dict(model.comparison)
+    channels, uncertainty, rivals = dict(model.channels), dict(model.uncertainty), dict(model.rivals)
     adapted = {direction: dict(values) for direction, values in model.provenance.adapted.items()}
     for direction, change in changes.items():
         factor = factors.get(direction, 1.0)
@@ -107,13 +107,13 @@ def changed_model(
             uncertainty[direction] = _changed_uncertainty(
                 uncertainty[direction], model.channels[direction], change, factor
             )
-        comparison.pop(direction, None)
+        rivals.pop(direction, None)
         adapted[direction] = {**change._asdict(), "band_factor": factor}
     return replace(
         model,
         channels=channels,
         uncertainty=uncertainty,
-        comparison=comparison,
+        rivals=rivals,
         provenance=replace(model.provenance, adapted=adapted, digest=""),
     )
 

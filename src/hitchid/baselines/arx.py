@@ -68,7 +68,7 @@ class Arx(Autoregression):
 class ArxBaseline(Baseline):
     """ARX with the order and inputs of the smallest error in free run on the validation tests."""
 
-    name, title = "arx", "ARX"
+    name, title, quick = "arx", "ARX", True
 
     def fit(self, tests: Batch, context: FitContext) -> Arx:
         """Return the ARX model: order and inputs by free run, coefficients one step ahead on all tests."""

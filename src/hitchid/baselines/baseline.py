@@ -37,10 +37,12 @@ class Baseline(ABC):
     Attributes:
         name: key in `metrics.json` and in the model folder, lower case.
         title: name in tables, progress and notices.
+        quick: whether it is fitted beside every model, for it costs little; the others are on request.
     """
 
     name: str
     title: str
+    quick: bool = False
 
     @abstractmethod
     def fit(self, tests: Batch, context: FitContext) -> FittedBaseline | None:

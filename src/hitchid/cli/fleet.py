@@ -69,7 +69,7 @@ def identify(
     from hitchid.identification import Settings, read_settings
 
     settings: Settings = {} if config is None else read_settings(config)
-    settings["comparison"] = None
+    settings["rivals"] = None
     if seed is not None:
         settings["seed"] = seed
     with display.progress(quiet=quiet) as shown:

@@ -2,15 +2,19 @@
 
 import json
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from hitchid._support.compilation import prepare_jax
+from hitchid._support.progress import ProgressUpdate, subtask_progress
 from hitchid.cli.cache import with_search_cache
 from hitchid.cli.options import AsJson, Force, Logs, Quiet, Signals, Strict
 from hitchid.errors import InputError, OutputError
+
+RIVALS_WORK = 1.5  # of all rivals, of that of the model (measured)
 
 
 def identify(
@@ -24,6 +28,10 @@ def identify(
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, max=2**32 - 1, help="Seed of every random draw [0].")
     ] = None,
+    with_rivals: Annotated[
+        bool,
+        typer.Option("--rivals", help="Also train the rivals, after the model is saved; see hitchid rivals."),
+    ] = False,
     resume: Annotated[
         bool,
         typer.Option("--resume", help="Continue a stopped run; the model is the same as without the stop."),
@@ -32,7 +40,10 @@ def identify(
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Identify a model from logs: dead zones, benchmarks, compensators."""
+    """Identify a model from logs: dead zones, physics model, corrections.
+
+    The physics model is saved as soon as it is found; Ctrl-C keeps it, and --resume goes on.
+    """
     from hitchid._support.storage import check_folder, check_inputs
     from hitchid.cli import terminal as display
 
@@ -46,25 +57,55 @@ def identify(
         _make_way(unfinished, force=force or has_failed(unfinished))
     prepare_jax()
     from hitchid.audit import audit
-    from hitchid.estimation import SearchComparison
-    from hitchid.identification import Settings, read_settings
+    from hitchid.identification import Identification, RivalsConfig, Settings, read_settings, train_rivals
     from hitchid.identification import identify as run
     from hitchid.readers import read
 
     settings: Settings = {} if config is None else read_settings(config)
     if seed is not None:
         settings["seed"] = seed
-    settings["comparison"] = with_search_cache(settings.get("comparison", SearchComparison()))
+    # Rivals follow when the model is saved.
+    rivals = RivalsConfig.of(settings.get("rivals", False))
+    settings["rivals"] = replace(rivals, trained=False)
+    with_rivals = with_rivals or rivals.trained
     campaign = read(logs, signals=signals, strict=strict)
     display.show_left_out(campaign, quiet=quiet)
     display.show_audit(audit(campaign), quiet=quiet)
     failed_before = has_failed(unfinished)
     if failed_before:
         mark_failed(unfinished, failed=False)
+    saved = False
+
+    def save_physics(identification: Identification) -> str:
+        nonlocal saved
+        identification.save(out, force=force or saved)
+        saved = True
+        return (
+            f"physics model saved: {identification.free_run_errors()}; going on with corrections, Ctrl-C "
+            "keeps it"
+        )
+
     try:
         with display.progress(quiet=quiet) as report:
-            identification = run(campaign, **settings, progress=report, checkpoints=unfinished)
-        identification.save(out, force=force)
+            share = 1 / (1 + RIVALS_WORK) if with_rivals else 1.0
+            identification = run(
+                campaign,
+                **settings,
+                progress=subtask_progress(report, 0.0, share),
+                checkpoints=unfinished,
+                on_physics=save_physics,
+            )
+            identification.save(out, force=force or saved)
+            if with_rivals:
+                report(ProgressUpdate("rivals", share, message=f"model saved: {out}; going on with rivals"))
+                model = train_rivals(
+                    identification.model,
+                    campaign,
+                    searches=with_search_cache(rivals.searches),
+                    progress=subtask_progress(report, share, 1 - share),
+                )
+                identification = replace(identification, model=model)
+                identification.save(out, force=True)
     except OutputError:
         # With free disk space --resume continues; a new run may replace the folder without --force.
         if has_results(unfinished):

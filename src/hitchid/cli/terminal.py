@@ -10,7 +10,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table as RichTable
 
-from hitchid.cli.terminal_progress import progress as progress
+from hitchid._support.progress_display import progress as progress
 from hitchid.data.segmentation import LABELS
 
 if TYPE_CHECKING:

@@ -8,8 +8,15 @@ from hitchid.cross_validation.folds import Fold, divide
 from hitchid.cross_validation.results import CrossValidation, FoldResult
 from hitchid.data.campaign import Campaign
 from hitchid.errors import HitchError
-from hitchid.estimation import Search, SearchComparison
-from hitchid.identification import AutoStructure, CompensatorConfig, Identification, ModelSpec, identify_many
+from hitchid.estimation import Search
+from hitchid.identification import (
+    AutoStructure,
+    CompensatorConfig,
+    Identification,
+    ModelSpec,
+    RivalsConfig,
+    identify_many,
+)
 from hitchid.identification.arguments import check_campaign
 from hitchid.identification.identify import DEFAULT_STRUCTURES, NO_DEAD_ZONES, TRAINING, WHALE
 from hitchid.validation import validate
@@ -26,7 +33,7 @@ def cross_validate(
     training: CompensatorConfig | None = TRAINING,
     dead_zones: Mapping[str, float] = NO_DEAD_ZONES,
     drift: bool = False,
-    comparison: SearchComparison | None = None,
+    rivals: RivalsConfig | bool | None = False,
     seed: int = 0,
     progress: ProgressCallback | None = None,
 ) -> CrossValidation:
@@ -39,7 +46,7 @@ def cross_validate(
     Args:
         campaign: tests of one direction, or mixed cycles alone; ramps are used in every fold.
         folds: number of folds, from 2 to the number of operating points of each direction.
-        structure, search, training, dead_zones, drift, comparison: as for `identify`, the same in all folds.
+        structure, search, training, dead_zones, drift, rivals: as for `identify`, the same in all folds.
         seed: of the division into folds and of every other random draw.
         progress: called with the current task and the completed fraction of the work.
 
@@ -60,7 +67,7 @@ def cross_validate(
         training=training,
         dead_zones=dead_zones,
         drift=drift,
-        comparison=comparison,
+        rivals=rivals,
         seed=seed,
         progress=subtask_progress(report, 0.0, IDENTIFICATION_SHARE),
     )

@@ -48,7 +48,7 @@ def identification_job(logs: str, results: str, settings: "Settings") -> Identif
     """
     from hitchid.identification import Settings, stamp_of
 
-    chosen: Settings = {"comparison": None, **settings}
+    chosen: Settings = {"rivals": None, **settings}
     if "structure" in chosen:
         chosen["structure"] = dict(chosen["structure"])  # goes to other processes
     return IdentificationJob(Store(logs), Store(results), chosen, digest(canonical_json(stamp_of(chosen))))

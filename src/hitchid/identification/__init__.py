@@ -11,9 +11,11 @@ from hitchid.identification.identify import identify as identify
 from hitchid.identification.identify import identify_many as identify_many
 from hitchid.identification.phase2 import CompensatorConfig as CompensatorConfig
 from hitchid.identification.result import Identification as Identification
+from hitchid.identification.rivals import RivalsConfig as RivalsConfig
 from hitchid.identification.selection import AutoStructure as AutoStructure
 from hitchid.identification.settings_file import Settings as Settings
 from hitchid.identification.settings_file import read_settings as read_settings
 from hitchid.identification.settings_file import stamp_of as stamp_of
 from hitchid.identification.speed_training import SpeedCompensatorConfig as SpeedCompensatorConfig
+from hitchid.identification.train_rivals import train_rivals as train_rivals
 from hitchid.structures import ModelSpec as ModelSpec

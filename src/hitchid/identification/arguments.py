@@ -6,9 +6,10 @@ from hitchid._support import checks
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import DIRECTIONS
 from hitchid.errors import InputError
-from hitchid.estimation import Search, SearchComparison
+from hitchid.estimation import Search
 from hitchid.identification.config import IdentificationConfig
 from hitchid.identification.phase2 import CompensatorConfig
+from hitchid.identification.rivals import RivalsConfig
 from hitchid.identification.selection import AutoStructure
 from hitchid.structures import ModelSpec, structure_named
 
@@ -30,7 +31,7 @@ def identification_config(
     training: CompensatorConfig | None,
     dead_zones: Mapping[str, float],
     drift: bool,
-    comparison: SearchComparison | None,
+    rivals: RivalsConfig | bool | None,
     seed: int,
 ) -> IdentificationConfig:
     """Return the configuration of an identification; see `identify`.
@@ -38,14 +39,13 @@ def identification_config(
     Args:
         default_specs: direction to its model specification or automatic choice, where `structure` has none.
         paper_specs: direction to the paper's model specification.
-        structure, search, training, dead_zones, drift, comparison, seed: see `identify`.
+        structure, search, training, dead_zones, drift, rivals, seed: see `identify`.
 
     Raises:
         InputError: an argument has the wrong type, or a value outside its limits.
     """
     checks.instance(search, Search, "search", "Whale, DifferentialEvolution or MultiStart")
     checks.instance(training, (CompensatorConfig, type(None)), "training", "CompensatorConfig or None")
-    checks.instance(comparison, (SearchComparison, type(None)), "comparison", "SearchComparison or None")
     checks.instance(drift, bool, "drift", "True or False")
     if checks.integer(seed, "seed") > LARGEST_SEED:
         raise checks.input_error("seed", f"at most {LARGEST_SEED}", seed)
@@ -57,7 +57,9 @@ def identification_config(
         direction: _spec_of(structures.get(direction, default_specs[direction]), direction)
         for direction in DIRECTIONS
     }
-    return IdentificationConfig(specs, paper_specs, search, training, dead_zones, drift, comparison, seed)
+    return IdentificationConfig(
+        specs, paper_specs, search, training, dead_zones, drift, RivalsConfig.of(rivals), seed
+    )
 
 
 def _spec_of(value: object, direction: str) -> ModelSpec | AutoStructure:

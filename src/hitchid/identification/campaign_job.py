@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hitchid._support.checkpoints import Checkpoints
+from hitchid._support.parallel import parallel
+from hitchid._support.progress import ProgressCallback, parallel_progress
 from hitchid._support.versions import installed_versions
 from hitchid.audit import feedback_of
 from hitchid.data.campaign import Campaign
@@ -23,8 +25,9 @@ from hitchid.identification.optional import attempt
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.preparation import ChannelData, mixed_dead_zones, prepare
 from hitchid.identification.result import Identification
+from hitchid.identification.rivals import trained_rivals
 from hitchid.identification.selection import AutoStructure
-from hitchid.model import Channel, Hitch, Provenance, TravelLimits
+from hitchid.model import Channel, Hitch, Provenance, Rivals, TravelLimits
 from hitchid.structures import ModelSpec
 
 ChannelResults = Mapping[str, tuple[Channel, ChannelTrace]]
@@ -152,9 +155,33 @@ class CampaignJob:
         )
         return _with_notices(plain, [sentence])
 
+    def with_rivals(self, model: Hitch, progress: ProgressCallback) -> Hitch:
+        """Return a model of this campaign with all rivals, trained to the tests of its channels."""
+        training = self.config.training or CompensatorConfig()
+        parts = parallel_progress(progress, tuple(model.channels))
+
+        def train(direction: str) -> Rivals:
+            initial_data, channel = self.channel_data[direction], model.channels[direction]
+            data = initial_data.with_dead_zone(replace(initial_data.dead_zone, value=channel.dead_zone))
+            config, searches = self.channel_configs[direction], self.config.rivals.searches
+            rivals = trained_rivals(data, initial_data, config, training, searches, parts[direction])
+            return rivals.with_limits(channel.limits)
+
+        return replace(model, rivals=parallel(train, model.channels))
+
     def build_model(self, results: ChannelResults) -> Identification:
-        """Assemble the model from its channels, with provenance, uncertainty and comparison."""
+        """Assemble the model from its channels, with provenance, uncertainty and rivals."""
         results = self.judge_on_cycles(results)
+        evidence = feedback_of(self._records())
+        notices = [] if evidence is None else [evidence.sentence]
+        mode_test = None
+        if len({self.campaign.units[COMMAND[direction]] for direction in results}) == 1:
+            mode_test = attempt("test of one shared model", lambda: compare_modes(self.channel_data), notices)
+        identification = self.assemble(_with_notices(results, notices))
+        return replace(identification, model=replace(identification.model, two_modes=mode_test))
+
+    def assemble(self, results: ChannelResults) -> Identification:
+        """Return channels as a model, whether they have compensators yet or not."""
         campaign, traces = self.campaign, {direction: trace for direction, (_, trace) in results.items()}
         provenance = Provenance(
             identification={direction: self._used(direction) for direction in results},
@@ -166,25 +193,17 @@ class CampaignJob:
             settings=self.config.describe(),
             versions=installed_versions(),
         )
-        same_unit = len({campaign.units[COMMAND[direction]] for direction in results}) == 1
-        evidence = feedback_of(self._records())
-        notices = [] if evidence is None else [evidence.sentence]
-        mode_test = None
-        if same_unit:
-            mode_test = attempt("test of one shared model", lambda: compare_modes(self.channel_data), notices)
-        traces = {direction: trace for direction, (_, trace) in _with_notices(results, notices).items()}
         hitch = self._hitch(results)
         hitch = replace(
             hitch,
             provenance=provenance,
-            two_modes=mode_test,
             uncertainty={
                 direction: trace.uncertainty for direction, trace in traces.items() if trace.uncertainty
             },
-            comparison={
-                direction: trace.comparison.with_limits(hitch.channels[direction].limits)
+            rivals={
+                direction: trace.rivals.with_limits(hitch.channels[direction].limits)
                 for direction, trace in traces.items()
-                if trace.comparison
+                if trace.rivals
             },
         )
         return Identification(hitch, traces)
@@ -271,7 +290,7 @@ def _channel_config(
         training=config.training,
         seed=config.seed,
         units={"x": campaign.units[DISPLACEMENT], "u": campaign.units[COMMAND[direction]]},
-        comparison=config.comparison,
+        quick_rivals=config.rivals.quick,
         checkpoints=checkpoints,
     )
 

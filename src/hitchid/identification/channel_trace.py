@@ -9,7 +9,7 @@ import numpy as np
 
 from hitchid._support.checkpoints import DISABLED, Checkpoints
 from hitchid._support.short_repr import short_repr
-from hitchid.estimation import Search, SearchComparison
+from hitchid.estimation import Search
 from hitchid.estimation.training import TrainingHistory
 from hitchid.identification.candidates import Candidate, held_out_errors_of_choice
 from hitchid.identification.dead_zone import DeadZone
@@ -17,7 +17,7 @@ from hitchid.identification.holdout_test import HoldoutTest
 from hitchid.identification.phase1 import Phase1
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.selection import AutoStructure
-from hitchid.model import Characteristics, Comparison, Uncertainty
+from hitchid.model import Characteristics, Rivals, Uncertainty
 from hitchid.structures import ModelSpec
 
 
@@ -35,7 +35,7 @@ class ChannelTrace:
         candidates: the candidates that were compared by an automatic choice of structure.
         seconds: name of each fit to its duration, s.
         uncertainty: of the channel.
-        comparison: baselines, paper's method and searches fitted to the same tests.
+        rivals: fitted to the same tests.
         characteristics: speed map, dead zone, delay and response time; None where there are none.
     """
 
@@ -47,7 +47,7 @@ class ChannelTrace:
     candidates: tuple[Candidate, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)
     uncertainty: Uncertainty | None = None
-    comparison: Comparison | None = None
+    rivals: Rivals | None = None
     characteristics: Characteristics | None = None
 
     @property
@@ -72,7 +72,7 @@ class ChannelConfig:
         training: of phase 2; None for the benchmark alone.
         seed: seed of all random draws.
         units: `x` and `u` to the units of displacement and command.
-        comparison: settings of the comparison of searches; None compares none.
+        quick_rivals: whether the rivals that cost little are fitted.
         checkpoints: store of finished partial results.
     """
 
@@ -82,7 +82,7 @@ class ChannelConfig:
     training: CompensatorConfig | None
     seed: int
     units: Mapping[str, str]
-    comparison: SearchComparison | None = None
+    quick_rivals: bool = True
     checkpoints: Checkpoints = DISABLED
 
     @property

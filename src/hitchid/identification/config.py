@@ -10,8 +10,9 @@ import jax
 from hitchid._support.checkpoints import DISABLED, Checkpoints
 from hitchid._support.versions import installed_versions
 from hitchid.data.campaign import Campaign
-from hitchid.estimation import Search, SearchComparison
+from hitchid.estimation import Search
 from hitchid.identification.phase2 import CompensatorConfig
+from hitchid.identification.rivals import RivalsConfig
 from hitchid.identification.selection import AutoStructure
 from hitchid.structures import ModelSpec
 
@@ -23,7 +24,7 @@ class IdentificationConfig:
     Attributes:
         specs: direction to the model specification of its benchmark, or its automatic choice.
         paper_specs: direction to the paper's model specification.
-        search, training, dead_zones, drift, comparison, seed: see `identify`.
+        search, training, dead_zones, drift, rivals, seed: see `identify`.
     """
 
     specs: Mapping[str, ModelSpec | AutoStructure]
@@ -32,7 +33,7 @@ class IdentificationConfig:
     training: CompensatorConfig | None
     dead_zones: Mapping[str, float]
     drift: bool
-    comparison: SearchComparison | None
+    rivals: RivalsConfig
     seed: int
 
     def with_campaign_covariates(self, campaign: Campaign) -> "IdentificationConfig":
@@ -58,11 +59,14 @@ class IdentificationConfig:
     @property
     def stamp(self) -> dict[str, object]:
         """All that the outcome depends on beside the logs, as JSON values."""
+        searches = self.rivals.searches
         return {
             "asked": {**self.describe(), "forms": repr(self.specs), "seed": self.seed},
             "search": repr(self.search),
             "training": repr(self.training),
-            "comparison": repr(self.comparison and replace(self.comparison, checkpoints=DISABLED)),
+            "rivals": repr(
+                replace(self.rivals, searches=searches and replace(searches, checkpoints=DISABLED))
+            ),
             "machine": f"{platform.machine()} {jax.default_backend()}",
             "versions": installed_versions(),
         }
@@ -117,7 +121,6 @@ def _describe_training(training: CompensatorConfig | None) -> dict[str, object]:
         **asdict(training.adam),
         "free_run": free_run is not None,
         **({} if free_run is None else {f"free_run_{key}": value for key, value in asdict(free_run).items()}),
-        "baselines": training.baselines,
     }
 
 

@@ -10,17 +10,8 @@ import numpy as np
 
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, split_progress
 from hitchid.data.record import DIRECTIONS
-from hitchid.estimation import Objective
 from hitchid.identification.band_calibration import FEWEST_TESTS, band_notices, calibrate_bands
 from hitchid.identification.channel_trace import ChannelConfig, ChannelTrace, timed
-from hitchid.identification.comparison import (
-    benchmark_channel,
-    epoch_callback,
-    fit_comparison,
-    identify_spec,
-    search_summaries,
-    with_compensator,
-)
 from hitchid.identification.compensator_horizon import JudgedCompensator, judge_compensator
 from hitchid.identification.cross_fitting import HeldOut, cross_fitted
 from hitchid.identification.dead_zone import DeadZone
@@ -28,11 +19,13 @@ from hitchid.identification.gain_calibration import with_gain
 from hitchid.identification.held_out_compensators import CompensatorTraining, with_compensators
 from hitchid.identification.load_filter_fit import with_load_filters
 from hitchid.identification.optional import attempt
-from hitchid.identification.phase1 import Phase1
+from hitchid.identification.phase1 import Phase1, identify_benchmark
+from hitchid.identification.phase2 import epoch_callback, with_compensator
 from hitchid.identification.preparation import ChannelData
+from hitchid.identification.rivals import quick_rivals
 from hitchid.identification.selection import AutoStructure, Candidate, choose_spec
 from hitchid.identification.speed_training import train_speed_compensator
-from hitchid.model import Bands, Channel, Characteristics, Comparison, Uncertainty
+from hitchid.model import Bands, Channel, Characteristics, Uncertainty
 from hitchid.networks.operating_range import OperatingRange, SignalRange
 from hitchid.structures import Batch
 from hitchid.uncertainty import characteristics, information_of, load_scatter
@@ -59,8 +52,8 @@ def find_benchmark(
     with timed(seconds, "benchmark"):
         phase1, candidates = _fit_benchmark(data, config, parts["benchmark"])
     data = data.with_dead_zone(_revised_dead_zone(data.dead_zone, candidates))
-    channel = benchmark_channel(data, phase1, operating_range_of(data.all_tests, phase1.benchmark.covariates))
-    parts["speed map"](ProgressUpdate("phase 1, speed map", 0.0))
+    channel = data.channel(phase1.benchmark, operating_range_of(data.all_tests, phase1.benchmark.covariates))
+    parts["speed map"](ProgressUpdate("speed map", 0.0))
     with timed(seconds, "speed map"):
         operating_characteristics, characteristics_notices = _characteristics(
             data.dead_zone, phase1, config.units
@@ -71,6 +64,7 @@ def find_benchmark(
         notices=(*data.notices, *_undetermined_notices(phase1), *characteristics_notices),
         candidates=candidates,
         seconds=seconds,
+        uncertainty=Uncertainty(phase1.assessment, characteristics=operating_characteristics),
         characteristics=operating_characteristics,
     )
     return channel, trace
@@ -97,7 +91,7 @@ def find_compensators(
     config: ChannelConfig,
     progress: ProgressCallback,
 ) -> tuple[Channel, ChannelTrace]:
-    """Train the compensators of one direction (phase 2), and fit what they are compared with.
+    """Train the compensators of one direction (phase 2), and fit the rivals that cost little.
 
     Args:
         channel, trace: of phase 1.
@@ -106,6 +100,7 @@ def find_compensators(
     seconds, initial_data, data = dict(trace.seconds), data, data.with_dead_zone(trace.dead_zone)
     parts = split_progress(progress, _phase2_shares(config))
     held_out, filter_notices = cross_fitted(channel, trace.phase1), []
+    parts["load filter"](ProgressUpdate("filter for loads that are not measured", 0.0))
     with timed(seconds, "load filter"):
         filtered = attempt(
             "load filter", lambda: with_load_filters(channel, held_out, data.all_tests), filter_notices
@@ -114,23 +109,24 @@ def find_compensators(
     trace = replace(trace, notices=(*trace.notices, *filter_notices))
     if config.training is None:
         calibrate = partial(_bands, channel, trace.phase1, data.all_tests, held_out)
-        return channel, _finished(channel, trace, Comparison(), data, config, calibrate, seconds, parts)
+        return channel, _finished(trace, data, initial_data, config, calibrate, seconds, parts)
     keys = jax.random.split(
         jax.random.fold_in(jax.random.key(config.seed), DIRECTIONS.index(data.direction)), 4
     )
-    parts["compensator"](ProgressUpdate("phase 2", 0.0))
+    stage = "training the correction of predictions"
+    parts["compensator"](ProgressUpdate(stage, 0.0))
     with timed(seconds, "compensator"):
         channel, training_history = with_compensator(
             channel,
             data,
             config.training,
             keys[0],
-            epoch_callback(parts["compensator"], "phase 2"),
+            epoch_callback(parts["compensator"], stage),
             config.checkpoints.child("compensator"),
         )
     trace = replace(trace, phase2=training_history)
     if config.training.free_run is not None:
-        parts["free runs"](ProgressUpdate("phase 2, free runs", 0.0))
+        parts["free runs"](ProgressUpdate("training the correction of free runs", 0.0))
         with timed(seconds, "compensator for free run"):
             judged = train_speed_compensator(
                 channel,
@@ -143,56 +139,46 @@ def find_compensators(
         channel, held_out = replace(channel, speed_compensator=judged.compensator), judged.held_out
         notices = (*trace.notices, judged.holdout_test.sentence)
         trace = replace(trace, holdout_test=judged.holdout_test, notices=notices)
-    comparison = Comparison()
-    if config.training.baselines:
-        comparison, notices = fit_comparison(
-            channel, data, initial_data, config, config.training, keys[2:], parts["baselines"], seconds
-        )
-        trace = replace(trace, notices=(*trace.notices, *notices))
     compensator_training = CompensatorTraining(config.training, training_history.best_epoch, keys[0])
+    parts["horizon"](ProgressUpdate("how far ahead the correction holds", 0.0))
     with timed(seconds, "compensator's horizon"):
         judged = _judged(channel, held_out, data.all_tests, compensator_training)
     channel, held_out = judged.channel, judged.held_out
     trace = replace(trace, notices=(*trace.notices, *judged.notices))
     calibrate = partial(_bands, channel, trace.phase1, data.all_tests, held_out, judged.errors)
-    return channel, _finished(channel, trace, comparison, data, config, calibrate, seconds, parts)
+    return channel, _finished(trace, data, initial_data, config, calibrate, seconds, parts)
 
 
 def _phase2_shares(config: ChannelConfig) -> dict[str, float]:
     """Return the parts of phase 2 with their relative work (measured at default settings)."""
     training = config.training
     parts = {
-        "compensator": 0.15 if training else 0.0,
+        "load filter": 0.1,
+        "compensator": 0.35 if training else 0.0,
         "free runs": 0.1 if training and training.free_run else 0.0,
-        "baselines": 0.4 if training and training.baselines else 0.0,
-        "searches": 0.1 if config.comparison else 0.0,
-        "bands": 0.2,
+        "horizon": 0.3 if training else 0.0,
+        "rivals": 0.1 if config.quick_rivals else 0.0,
+        "bands": 0.05,
         "information": 0.05,
     }
     return {name: share for name, share in parts.items() if share}
 
 
 def _finished(
-    channel: Channel,
     trace: ChannelTrace,
-    comparison: Comparison,
     data: ChannelData,
+    initial_data: ChannelData,
     config: ChannelConfig,
     calibrate: Callable[[], Bands | None],
     seconds: dict[str, float],
     parts: Mapping[str, ProgressCallback],
 ) -> ChannelTrace:
-    """Return the trace with the searches compared, bands and information; what fails leaves a notice."""
+    """Return the trace with quick rivals, bands and information; what fails leaves a notice."""
     notices: list[str] = []
-    if config.comparison is not None:
-        parts["searches"](ProgressUpdate("comparison of searches", 0.0))
-        with timed(seconds, "searches compared"):
-            searches = attempt(
-                "comparison of searches",
-                lambda: search_summaries(Objective.of(data.all_tests, config.search_spec), config),
-                notices,
-            )
-        comparison = replace(comparison, searches=searches or ())
+    rivals = None
+    if config.quick_rivals:
+        with timed(seconds, "rivals"):
+            rivals = quick_rivals(data, initial_data, config, trace.candidates, parts["rivals"])
     parts["bands"](ProgressUpdate("bands around predictions", 0.0))
     with timed(seconds, "bands"):
         bands = attempt("bands around predictions", calibrate, notices)
@@ -215,7 +201,7 @@ def _finished(
     return replace(
         trace,
         uncertainty=uncertainty,
-        comparison=comparison,
+        rivals=rivals,
         seconds=seconds,
         notices=(*trace.notices, *notices),
     )
@@ -327,7 +313,17 @@ def _fit_benchmark(
             progress=progress,
             checkpoints=config.checkpoints,
         )
-    return identify_spec(data, config, config.spec, config.checkpoints, progress), ()
+    phase1 = identify_benchmark(
+        batch,
+        config.spec,
+        config.search,
+        config.seed,
+        units=config.units,
+        dead_zone=data.dead_zone.error,
+        progress=progress,
+        checkpoints=config.checkpoints,
+    )
+    return phase1, ()
 
 
 def _revised_dead_zone(dead_zone: DeadZone, candidates: Iterable[Candidate]) -> DeadZone:

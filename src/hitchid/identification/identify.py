@@ -6,15 +6,17 @@ from types import MappingProxyType
 
 from hitchid._support.checks import path, tuple_of
 from hitchid._support.precision import double_precision
-from hitchid._support.progress import ProgressCallback, silent
+from hitchid._support.progress import ProgressCallback
+from hitchid._support.progress_display import shown
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import HitchError
-from hitchid.estimation import Search, SearchComparison, Whale
+from hitchid.estimation import Search, Whale
 from hitchid.identification.arguments import CAMPAIGN, check_campaign, identification_config
 from hitchid.identification.phase2 import CompensatorConfig
-from hitchid.identification.pipeline import run_pipeline
+from hitchid.identification.pipeline import PhysicsCallback, run_pipeline
 from hitchid.identification.result import Identification
+from hitchid.identification.rivals import RivalsConfig
 from hitchid.identification.selection import AutoStructure
 from hitchid.structures import ModelSpec, structure_named
 
@@ -32,7 +34,6 @@ DEFAULT_STRUCTURES: Mapping[str, AutoStructure] = MappingProxyType(
     }
 )
 WHALE = Whale()
-COMPARISON = SearchComparison()
 TRAINING = CompensatorConfig()
 NO_DEAD_ZONES: Mapping[str, float] = MappingProxyType({})
 
@@ -46,10 +47,11 @@ def identify(
     training: CompensatorConfig | None = TRAINING,
     dead_zones: Mapping[str, float] = NO_DEAD_ZONES,
     drift: bool = False,
-    comparison: SearchComparison | None = COMPARISON,
+    rivals: RivalsConfig | bool | None = False,
     seed: int = 0,
-    progress: ProgressCallback | None = None,
+    progress: ProgressCallback | bool = True,
     checkpoints: str | Path | None = None,
+    on_physics: PhysicsCallback | None = None,
 ) -> Identification:
     """Identify a grey-box model from the tests of a campaign that are not held out.
 
@@ -66,11 +68,16 @@ def identify(
         training: settings of phase 2; None identifies benchmarks alone.
         dead_zones: direction to dead zone, in the command's unit, where it is known.
         drift: whether the drift of a held piston is identified; otherwise it is zero.
-        comparison: the searches to compare, and the number of seeds; None compares none.
+        rivals: models that are fitted for comparison. False for those that cost little, ARX and the paper's
+            transfer function; True for all, which takes longer than the model and may follow later, see
+            `train_rivals`; None for none.
         seed: every random draw comes from it.
-        progress: called with what is being done and the fraction of all work that is done.
+        progress: True for a bar in a terminal or a notebook, False for none, or a function that is called
+            with what is being done and the fraction of all work that is done.
         checkpoints: folder where finished searches and trainings are kept; with those of a run that was
             stopped, it continues from there to the same model. None keeps none.
+        on_physics: called with the physics model as soon as there is one, before corrections are trained;
+            the sentence that it returns is shown with the progress.
 
     Raises:
         InputError: there is no test of one direction, all are held out or cannot be used, or an
@@ -85,11 +92,12 @@ def identify(
         training=training,
         dead_zones=dead_zones,
         drift=drift,
-        comparison=comparison,
+        rivals=rivals,
         seed=seed,
     )
     folder = None if checkpoints is None else path(checkpoints, "checkpoints")
-    (result,) = run_pipeline([check_campaign(campaign)], config, progress or silent, folder)
+    with shown(progress) as report:
+        (result,) = run_pipeline([check_campaign(campaign)], config, report, folder, on_physics)
     if isinstance(result, HitchError):
         raise result
     return result
@@ -104,9 +112,9 @@ def identify_many(
     training: CompensatorConfig | None = TRAINING,
     dead_zones: Mapping[str, float] = NO_DEAD_ZONES,
     drift: bool = False,
-    comparison: SearchComparison | None = None,
+    rivals: RivalsConfig | bool | None = False,
     seed: int = 0,
-    progress: ProgressCallback | None = None,
+    progress: ProgressCallback | bool = True,
 ) -> tuple[Identification | HitchError, ...]:
     """Identify a model from each of many campaigns, such as those of a fleet, in one process.
 
@@ -115,8 +123,8 @@ def identify_many(
 
     Args:
         campaigns: of one machine each.
-        structure, search, training, dead_zones, drift, comparison, seed: as for `identify`, the same for all.
-        progress: called with what is being done and the fraction of all work that is done.
+        structure, search, training, dead_zones, drift, rivals, seed: as for `identify`, the same for all.
+        progress: as for `identify`.
 
     Returns:
         In the order of the campaigns the identification, or the error with which it ended; an error does not
@@ -130,8 +138,9 @@ def identify_many(
         training=training,
         dead_zones=dead_zones,
         drift=drift,
-        comparison=comparison,
+        rivals=rivals,
         seed=seed,
     )
     checked_campaigns = tuple_of(campaigns, Campaign, "campaigns", f"several, each {CAMPAIGN}")
-    return run_pipeline(checked_campaigns, config, progress or silent)
+    with shown(progress) as report:
+        return run_pipeline(checked_campaigns, config, report)

@@ -30,16 +30,18 @@ ROUGH_TOLERANCE, ROUGH_STEPS, STEPS = 1e-9, 60, 60  # of the first descents; pos
 @short_repr
 @dataclass(frozen=True)
 class Fit:
-    """The best parameters of a model specification, and the search for them.
+    """The best parameters of a model specification, and the search that they come from.
 
     Attributes:
         objective: the tests and the form.
         position: the parameters, in the unit cube, shape [D].
+        searched: what was searched globally: the same, or the plain form that this one was found from.
         search_result: the search and its trace.
     """
 
     objective: Objective
     position: np.ndarray
+    searched: Objective
     search_result: SearchResult
 
     @property
@@ -64,7 +66,7 @@ class Phase1:
         assessment: estimates of the parameters and of derived quantities, with intervals.
         influence: of each test on each parameter.
         rmse: root mean square error over the identification tests, free run, in the displacement's unit.
-        search_rmse: the same before least squares.
+        search_rmse: the same at the end of the search, before least squares.
     """
 
     benchmark: PhysicalModel
@@ -87,7 +89,6 @@ def identify_benchmark(
     seed: int,
     *,
     units: Mapping[str, str],
-    start: np.ndarray | None = None,
     dead_zone: DeadZoneError = NO_ERROR,
     progress: ProgressCallback = silent,
     checkpoints: Checkpoints = DISABLED,
@@ -95,7 +96,7 @@ def identify_benchmark(
     """Find the parameters that minimise the free-run error over all tests, with their intervals.
 
     Args:
-        batch, spec, search, seed, start, progress, checkpoints: see `find_parameters`.
+        batch, spec, search, seed, progress, checkpoints: see `find_parameters`.
         units: `x` and `u` to the units of displacement and command.
         dead_zone: its standard error.
 
@@ -109,7 +110,6 @@ def identify_benchmark(
         search,
         seed,
         unit=units["x"],
-        start=start,
         progress=parts["fit"],
         checkpoints=checkpoints,
     )
@@ -122,9 +122,7 @@ def find_parameters(
     search: Search,
     seed: int,
     *,
-    name: str = "",
     unit: str = "",
-    start: np.ndarray | None = None,
     progress: ProgressCallback = silent,
     checkpoints: Checkpoints = DISABLED,
 ) -> Fit:
@@ -139,8 +137,7 @@ def find_parameters(
         spec: structure, dead time, bounds.
         search: global search; least squares follows it whatever it is.
         seed: every random draw comes from it.
-        name, unit: of the structure and of the displacement, for `progress`.
-        start: values of the form's parameters from which least squares starts too, shape [D].
+        unit: of the displacement, for `progress`.
         progress: called with the current task and the completed fraction.
         checkpoints: where finished results are kept and read back.
 
@@ -149,37 +146,66 @@ def find_parameters(
     """
     objective = Objective.of(batch, spec)
     problem = search_problem(objective.with_data(batch.decimate(SEARCH_SAMPLES)))
-    stage = ", ".join(filter(None, ("phase 1", search.name, name)))
+    stage = "searching parameters"
     parts = split_progress(progress, FIT_SHARES)
     parts["search"](ProgressUpdate(stage, 0.0))
     callback = iteration_progress(parts["search"], stage, f"RMSE / {unit}" if unit else "RMSE")
     search_result = checkpoints.cached(
         "search", SearchResult, lambda: search.minimise(problem, seed, callback)
     )
-    starts = [
-        search_result.best,
-        *_local_starts(spec, seed),
-        *([] if start is None else [objective.position(start)]),
-    ]
+    position = checkpoints.cached_arrays(
+        "least squares",
+        lambda: {
+            "position": _refine_from_starts(
+                objective, [search_result.best, *_local_starts(spec, seed)], parts
+            )
+        },
+    )["position"]
+    return Fit(objective, position, objective, search_result)
+
+
+def continue_fit(
+    batch: Batch,
+    spec: ModelSpec,
+    start: np.ndarray,
+    plain: Fit,
+    *,
+    seed: int,
+    progress: ProgressCallback = silent,
+    checkpoints: Checkpoints = DISABLED,
+) -> Fit:
+    """Find the parameters of a form from those that the choice of forms found, over all samples.
+
+    No global search: the form grew from a plain one that was searched, through least squares from several
+    starts. On 60 simulated campaigns a search of the larger form improved none.
+
+    Args:
+        batch, spec, seed, progress, checkpoints: see `find_parameters`.
+        start: values of the form's parameters, shape [D].
+        plain: fit of the plain form, whose search is kept.
+    """
+    objective = Objective.of(batch, spec)
+    starts = [objective.position(start), *_local_starts(spec, seed)]
+    parts = split_progress(progress, {"rough": 0.5, "least squares": 0.5})
     position = checkpoints.cached_arrays(
         "least squares", lambda: {"position": _refine_from_starts(objective, starts, parts)}
     )["position"]
-    return Fit(objective, position, search_result)
+    return Fit(objective, position, plain.searched, plain.search_result)
 
 
 def _refine_from_starts(
     objective: Objective, starts: Sequence[np.ndarray], parts: Mapping[str, ProgressCallback]
 ) -> np.ndarray:
-    """Return where least squares ends from the best of several starts, the first of them the search's."""
-    parts["rough"](ProgressUpdate("phase 1, least squares from several starts", 0.0))
+    """Return where least squares ends from the best of several starts."""
+    parts["rough"](ProgressUpdate("refining parameters from several starts", 0.0))
     coarse = objective.with_data(objective.batch.coarse()).problem()
     rough_result = best_refined(coarse, starts, limit=ROUGH_STEPS, tolerance=ROUGH_TOLERANCE)
     problem = objective.problem()
-    parts["least squares"](ProgressUpdate("phase 1, least squares", 0.0))
+    parts["least squares"](ProgressUpdate("refining parameters", 0.0))
     best = refine(problem, rough_result.position, limit=STEPS)
-    # The first descents are over fewer samples: over all of them the end of the search may be better.
-    search_error = objective.error(starts[0])
-    return with_calibrated_gain(objective, best.position if best.fitness <= search_error else starts[0])
+    # The first descents are over fewer samples: over all of them the first start may be better.
+    start_error = objective.error(starts[0])
+    return with_calibrated_gain(objective, best.position if best.fitness <= start_error else starts[0])
 
 
 def assess_fit(
@@ -211,7 +237,7 @@ def assess_fit(
         assessment=assessment,
         influence=influence,
         rmse=fit.objective.pooled().error(fit.position),
-        search_rmse=fit.objective.pooled().error(fit.search_result.best),
+        search_rmse=fit.searched.pooled().error(fit.search_result.best),
     )
 
 

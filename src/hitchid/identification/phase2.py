@@ -1,6 +1,6 @@
 """Phase 2: the benchmark is frozen and the compensator is trained on its error."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import jax
@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Float32, PRNGKeyArray
 
 from hitchid._support.checkpoints import DISABLED, Checkpoints
+from hitchid._support.progress import TYPICAL_ITERATIONS, ProgressCallback, ProgressUpdate
 from hitchid.estimation.training import (
     AdamConfig,
     EpochCallback,
@@ -17,7 +18,9 @@ from hitchid.estimation.training import (
     pad_to_batches,
     train,
 )
+from hitchid.identification.preparation import ChannelData
 from hitchid.identification.speed_training import SpeedCompensatorConfig
+from hitchid.model import Channel
 from hitchid.model.load_filter import LoadFilter
 from hitchid.networks.error_compensator import FEATURES, Compensator, Sample, measured_features
 from hitchid.networks.lstm import Lstm
@@ -35,14 +38,12 @@ class CompensatorConfig:
         window: features read before a prediction.
         adam: Adam and early stopping.
         free_run: of the compensator for free run; None for none.
-        baselines: whether the baselines are fitted beside it.
     """
 
     hidden: int = 32
     window: int = 50
     adam: AdamConfig = field(default_factory=AdamConfig)
     free_run: SpeedCompensatorConfig | None = field(default_factory=SpeedCompensatorConfig)
-    baselines: bool = True
 
 
 _measured_features = jax.jit(measured_features, static_argnums=1)
@@ -63,6 +64,38 @@ class Sequences(NamedTuple):
     valid: Bool[Array, "c w"]
     target: Float32[Array, "c l"]
     loss_mask: Bool[Array, "c l"]
+
+
+def with_compensator(
+    channel: Channel,
+    data: ChannelData,
+    training: CompensatorConfig,
+    key: PRNGKeyArray,
+    progress: EpochCallback,
+    checkpoints: Checkpoints,
+) -> tuple[Channel, TrainingHistory]:
+    """Train the compensator for predictions of a channel."""
+    compensator, training_history = train_compensator(
+        (data.training, channel.simulate_benchmark(data.training)),
+        (data.validation, channel.simulate_benchmark(data.validation)),
+        channel.load_filter,
+        training,
+        key,
+        progress,
+        checkpoints,
+    )
+    return replace(channel, compensator=compensator), training_history
+
+
+def epoch_callback(progress: ProgressCallback, stage: str) -> EpochCallback:
+    """Return a callback that reports epochs; early stopping leaves the total number unknown."""
+
+    def show(number: int, training_loss: float, validation_loss: float) -> None:
+        done = number / (number + TYPICAL_ITERATIONS)
+        figures = {"training loss": training_loss, "validation loss": validation_loss}
+        progress(ProgressUpdate(stage, done, f"epoch {number}", figures))
+
+    return show
 
 
 def train_compensator(

@@ -1,6 +1,7 @@
 """Identification of several campaigns phase by phase, with all directions in parallel."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
@@ -19,12 +20,14 @@ from hitchid.identification.result import Identification
 from hitchid.model import Channel
 
 # Parts of an identification with their relative work (measured at default settings).
-SHARES = {"tests": 0.03, "phase 1": 0.5, "phase 2": 0.45, "model": 0.02}
+SHARES = {"tests": 0.03, "phase 1": 0.45, "phase 2": 0.5, "model": 0.02}
 SHARES_WITHOUT_TRAINING = {"tests": 0.05, "phase 1": 0.75, "phase 2": 0.17, "model": 0.03}
+RIVALS_SHARE = 1.5  # the work of all rivals, of that of the model (measured)
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 Key = tuple[int, str]
 ChannelResult = tuple[Channel, ChannelTrace]
+PhysicsCallback = Callable[[Identification], str]
 
 
 def run_pipeline(
@@ -32,6 +35,7 @@ def run_pipeline(
     config: IdentificationConfig,
     progress: ProgressCallback,
     checkpoints: Path | None = None,
+    on_physics: PhysicsCallback | None = None,
 ) -> tuple[Identification | HitchError, ...]:
     """Carry out phase 1, then phase 2, and put the models together.
 
@@ -40,13 +44,18 @@ def run_pipeline(
         config: configuration, the same for all.
         progress: called with the current task and the completed fraction.
         checkpoints: folder of finished partial results, for one campaign.
+        on_physics: called with each model of phase 1, before compensators are trained; what it returns is
+            shown with the progress.
 
     Returns:
         In the order of the campaigns the identification, or the error that ended it.
     """
 
-    parts = split_progress(progress, SHARES if config.training else SHARES_WITHOUT_TRAINING)
-    parts["tests"](ProgressUpdate("tests and dead zones", 0.0))
+    shares = SHARES if config.training else SHARES_WITHOUT_TRAINING
+    parts = split_progress(
+        progress, {**shares, **({"rivals": RIVALS_SHARE} if config.rivals.trained else {})}
+    )
+    parts["tests"](ProgressUpdate("finding dead zones in the tests", 0.0))
 
     def prepare_job(campaign: Campaign) -> CampaignJob:
         campaign_config = config.with_campaign_covariates(campaign)
@@ -74,12 +83,25 @@ def run_pipeline(
     def build_model(number: int) -> Identification:
         return jobs[number].build_model(_campaign_results(phase2_results, number))
 
+    def with_rivals(number: int, identification: Identification | HitchError) -> Identification | HitchError:
+        if isinstance(identification, HitchError):
+            return identification
+        model = jobs[number].with_rivals(identification.model, parts["rivals"])
+        return replace(identification, model=model)
+
     phase1_results = _phase(run_phase1, keys, parts["phase 1"])
     calibrated_results = parallel(lambda number: _result_or_error(calibrate_gains, number), jobs)
+    if on_physics is not None and config.training is not None:
+        for number, results in calibrated_results.items():
+            if not isinstance(results, HitchError):
+                message = on_physics(jobs[number].assemble(results))
+                parts["phase 2"](ProgressUpdate("physics model", 0.0, message=message))
     phase2_results = _phase(run_phase2, keys, parts["phase 2"])
     if jobs:
-        parts["model"](ProgressUpdate("model", 0.0))
+        parts["model"](ProgressUpdate("putting the model together", 0.0))
     models = parallel(lambda number: _result_or_error(build_model, number), jobs)
+    if config.rivals.trained:
+        models = {number: with_rivals(number, models[number]) for number in jobs}
     return tuple(
         job if isinstance(job, HitchError) else models[number] for number, job in jobs_or_errors.items()
     )

@@ -18,7 +18,9 @@ from hitchid.identification.dead_zone import (
     ramp_rate,
     response_delay,
 )
-from hitchid.structures import Batch, before_end_stop, split_validation
+from hitchid.model import Channel
+from hitchid.networks.operating_range import OperatingRange
+from hitchid.structures import Batch, PhysicalModel, before_end_stop, split_validation
 
 STOP_AGREEMENT = 0.02  # share of the range of displacements within which tests meet one end stop
 MAX_LENGTH_RATIO, SETTLING_S = 2.0, 2.0  # of the median stroke; s of rest that are kept: lags have died away
@@ -54,6 +56,17 @@ class ChannelData:
     validation_names: tuple[str, ...]
     notices: tuple[str, ...]
     left_out: tuple[LeftOut, ...] = ()
+
+    def channel(self, benchmark: PhysicalModel, operating_range: OperatingRange) -> Channel:
+        """Return a channel with a benchmark and no compensators."""
+        return Channel(
+            direction=self.direction,
+            sign=self.sign,
+            dead_zone=self.dead_zone.value,
+            end_stop=self.end_stop,
+            benchmark=benchmark,
+            operating_range=operating_range,
+        )
 
     def with_dead_zone(self, dead_zone: DeadZone) -> "ChannelData":
         """Return the tests behind another dead zone."""

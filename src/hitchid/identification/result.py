@@ -38,6 +38,18 @@ class Identification(Summarised):
         """Return direction to trace as JSON values."""
         return {direction: describe_channel(trace) for direction, trace in self.channels.items()}
 
+    def free_run_errors(self) -> str:
+        """Return the free-run RMSE of the physics models as a sentence, on held-out tests where there are."""
+        unit = self.model.units[DISPLACEMENT]
+        held_out = {name: trace.choice_held_out_rmse for name, trace in self.channels.items()}
+        errors = {
+            name: trace.phase1.rmse if held_out[name] is None else held_out[name]
+            for name, trace in self.channels.items()
+        }
+        figures = ", ".join(f"{name} {rmse:.3g} {unit}" for name, rmse in errors.items())
+        where = "identification tests" if None in held_out.values() else "tests held out in turn"
+        return f"RMSE in free run {figures} on {where}"
+
     def _summary(self) -> Summary:
         unit = self.model.units[DISPLACEMENT]
         fits = [

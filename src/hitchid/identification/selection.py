@@ -30,7 +30,7 @@ from hitchid.identification.nested_specs import (
     nested_specs,
     starts,
 )
-from hitchid.identification.phase1 import Fit, Phase1, assess_fit, find_parameters
+from hitchid.identification.phase1 import Fit, Phase1, assess_fit, continue_fit, find_parameters
 from hitchid.structures import (
     Batch,
     ModelOption,
@@ -44,7 +44,7 @@ from hitchid.uncertainty import NO_ERROR, DeadZoneError
 # Shares of a dead zone that is tried again with a valve curve; the first decides whether the others are.
 DEAD_ZONE_SHARES = (0.5, 0.25, 0.75, 0.0)
 # Work of the first fit, the candidates, structures of other packages, the last fit, the intervals (measured).
-CHOICE_SHARES = {"baseline": 0.25, "candidates": 0.2, "external": 0.05, "chosen": 0.2, "intervals": 0.3}
+CHOICE_SHARES = {"baseline": 0.2, "candidates": 0.4, "external": 0.05, "chosen": 0.1, "intervals": 0.25}
 BASELINE = "transfer function"  # name of the first candidate
 
 
@@ -81,8 +81,7 @@ def choose_spec(
     optimum of the one before, its new curves from a few shapes. A larger form takes the place of a smaller
     one where it is significantly better on held-out tests; see `best_candidate`. Dry friction follows, and
     where that is better a natural frequency that varies along the stroke; then structures of other packages,
-    alone and with the options of the best form so far. The one taken is identified as any other, by global
-    search and least squares.
+    alone and with the options of the best form so far. The one taken is refined over all samples.
 
     Covariates are tried one after the other on top of the best form, each with its effect on speed and
     opening, on the dynamics, too, and with its square; the best of them stays, and the rest are tried again,
@@ -91,7 +90,7 @@ def choose_spec(
     Args:
         batch: identification tests.
         auto_structure: the plain form, and the covariates.
-        search: of the plain form and of the one chosen.
+        search: of the plain form.
         seed: every random draw comes from it.
         units: see `identify_benchmark`.
         opening_known: whether the dead zone is where a ramp showed the valve to open: tests at a few levels
@@ -111,7 +110,7 @@ def choose_spec(
     parts = split_progress(progress, CHOICE_SHARES)
     choice = _Choice(batch, batch.coarse(), folds, search, seed, units, parts, checkpoints)
     assessed = partial(assess_fit, units=units, dead_zone=dead_zone, seed=seed, progress=parts["intervals"])
-    baseline = choice.search_fit(baseline_spec, BASELINE, part="baseline", checkpoint="plain")
+    baseline = choice.search_fit(baseline_spec, part="baseline", checkpoint="plain")
     if not folds:
         return assessed(baseline), ()
     largest = largest_spec(baseline_spec, opening_known=opening_known)
@@ -127,7 +126,7 @@ def choose_spec(
         candidates += choice.candidates_of(structure, candidates[chosen])
         chosen = best_candidate(candidates)
     candidates[chosen] = replace(candidates[chosen], chosen=True)
-    fit = choice.final_fit(candidates[chosen], candidates[0].dead_zone) if chosen else baseline
+    fit = choice.final_fit(candidates[chosen], candidates[0], baseline) if chosen else baseline
     return assessed(fit), tuple(candidates)
 
 
@@ -179,39 +178,29 @@ class _Choice:
     parts: Mapping[str, ProgressCallback]
     checkpoints: Checkpoints
 
-    def search_fit(
-        self,
-        spec: ModelSpec,
-        name: str,
-        *,
-        part: str,
-        checkpoint: str,
-        batch: Batch | None = None,
-        start: np.ndarray | None = None,
-    ) -> Fit:
+    def search_fit(self, spec: ModelSpec, *, part: str, checkpoint: str) -> Fit:
         """Fit a form by global search and least squares; see `find_parameters`."""
         return find_parameters(
-            self.batch if batch is None else batch,
+            self.batch,
             spec,
             self.search,
             self.seed,
-            name=name,
             unit=self.units["x"],
-            start=start,
             progress=self.parts[part],
             checkpoints=self.checkpoints.child(checkpoint),
         )
 
-    def final_fit(self, candidate: Candidate, dead_zone: float) -> Fit:
-        """Fit the chosen form over all samples, from its optimum too; the tests have another dead zone."""
-        was_reduced = candidate.dead_zone != dead_zone
-        return self.search_fit(
+    def final_fit(self, candidate: Candidate, plain: Candidate, baseline: Fit) -> Fit:
+        """Fit the chosen form over all samples, from its optimum; the tests may have another dead zone."""
+        was_reduced = candidate.dead_zone != plain.dead_zone
+        return continue_fit(
+            self.batch.with_dead_zone(candidate.dead_zone) if was_reduced else self.batch,
             candidate.spec,
-            candidate.name,
-            part="chosen",
-            checkpoint=f"chosen {candidate.name}",
-            batch=self.batch.with_dead_zone(candidate.dead_zone) if was_reduced else None,
-            start=candidate.values,
+            candidate.values,
+            baseline,
+            seed=self.seed,
+            progress=self.parts["chosen"],
+            checkpoints=self.checkpoints.child(f"chosen {candidate.name}"),
         )
 
     def nested_candidates(self, baseline: Fit, largest: ModelSpec, *, revised: bool) -> list[Candidate]:
@@ -227,7 +216,7 @@ class _Choice:
         positions = _positions_of(objective, names, gain)
         specs = nested_specs(largest)
         for number, (name, spec) in enumerate(specs):
-            self.parts["candidates"](ProgressUpdate(f"phase 1, structure {name}", number / len(specs)))
+            self.parts["candidates"](ProgressUpdate(f"trying the form {name}", number / len(specs)))
             free = [names.index(parameter.name) for parameter in spec.parameters]
             objective = replace(objective, per_test_gain=allows_per_test_gain(self.coarse, spec))
             previous = candidates[-1].spec
@@ -281,7 +270,7 @@ class _Choice:
             objective, names = Objective.of(batch, spec), [parameter.name for parameter in spec.parameters]
             try:
                 if not extended:
-                    fit = self.search_fit(spec, name, part="external", checkpoint=f"plain {name}")
+                    fit = self.search_fit(spec, part="external", checkpoint=f"plain {name}")
                     values = dict(zip(names, fit.values.tolist(), strict=True))
                 start = _positions_of(objective, names, {**incumbent.named_values, **values})
                 evaluation = self._fitted(f"form {name}", objective, range(len(names)), [start])
@@ -320,7 +309,7 @@ class _Choice:
     def _report(self, part: str, candidate: Candidate, fraction: float) -> None:
         figures = {f"RMSE on levels held out / {self.units['x']}": candidate.held_out_rmse}
         self.parts[part](
-            ProgressUpdate(f"phase 1, structure {candidate.name}", fraction, candidate.name, figures)
+            ProgressUpdate(f"trying the form {candidate.name}", fraction, candidate.name, figures)
         )
 
     def _with_smaller_dead_zone(

@@ -3,11 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal, TypedDict
+from typing import Annotated, Any, Literal, TypedDict
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from hitchid.data.record import DIRECTIONS
+from hitchid.data.settings_errors import describe
 from hitchid.data.signal_map import Strict, parse_settings
 from hitchid.errors import InputError, SettingsError
 from hitchid.estimation import DifferentialEvolution, MultiStart, Search, SearchComparison, Whale
@@ -16,6 +17,7 @@ from hitchid.estimation.training import AdamConfig
 from hitchid.identification.arguments import LARGEST_SEED, identification_config
 from hitchid.identification.identify import DEFAULT_STRUCTURES, PAPER_SPECS, TRAINING, WHALE
 from hitchid.identification.phase2 import CompensatorConfig
+from hitchid.identification.rivals import RivalsConfig
 from hitchid.identification.selection import AutoStructure
 from hitchid.identification.speed_training import SpeedCompensatorConfig
 from hitchid.structures import CovariateEffects, ModelSpec, structure_named
@@ -32,7 +34,7 @@ class Settings(TypedDict, total=False):
     training: CompensatorConfig | None
     dead_zones: Mapping[str, float]
     drift: bool
-    comparison: SearchComparison | None
+    rivals: RivalsConfig | bool | None
     seed: int
 
 
@@ -65,7 +67,7 @@ class SearchSection(Strict):
     population: Count | None = None
     stagnation: Count | None = None
     per_dimension: bool = True
-    compare: bool = True
+    compare: bool | None = None
 
     def search(self) -> Search:
         """Return the search of these settings."""
@@ -97,7 +99,7 @@ class TrainingSection(Strict):
     batch: Count = AdamConfig.batch
     learning_rate: float = Field(default=AdamConfig.learning_rate, gt=0, le=1)
     free_run: bool = True
-    baselines: bool = True
+    baselines: bool | None = None
 
     def training(self) -> CompensatorConfig | None:
         """Return the training of these settings, None for benchmarks alone."""
@@ -105,7 +107,14 @@ class TrainingSection(Strict):
             return None
         adam = AdamConfig(self.epochs, self.patience, self.batch, self.learning_rate)
         free_run = SpeedCompensatorConfig() if self.free_run else None
-        return CompensatorConfig(self.hidden, self.window, adam, free_run, self.baselines)
+        return CompensatorConfig(self.hidden, self.window, adam, free_run)
+
+
+class RivalsSection(Strict):
+    """`[rivals]`."""
+
+    train: bool = False
+    searches: bool = True
 
 
 class IdentifyFile(Strict):
@@ -117,6 +126,18 @@ class IdentifyFile(Strict):
     lowering: ChannelSection = ChannelSection()
     search: SearchSection = SearchSection()
     training: TrainingSection = TrainingSection()
+    rivals: RivalsSection = RivalsSection()
+
+    def rivals_config(self) -> RivalsConfig:
+        """Return which rivals are fitted.
+
+        `[training] baselines` and `[search] compare` say the same where they are given: true trains the
+        rivals or compares the searches, false leaves out the quick rivals, too, or the searches.
+        """
+        baselines, compare = self.training.baselines, self.search.compare
+        trained = self.rivals.train or bool(baselines) or bool(compare)
+        searches = self.rivals.searches if compare is None else compare
+        return RivalsConfig(baselines is not False, trained, SearchComparison() if searches else None)
 
     def settings(self) -> Settings:
         """Return the arguments of `identify` that the file gives.
@@ -135,7 +156,7 @@ class IdentifyFile(Strict):
                 direction: s.dead_zone for direction, s in sections.items() if s.dead_zone is not None
             },
             "drift": self.drift,
-            "comparison": SearchComparison() if self.search.compare else None,
+            "rivals": self.rivals_config(),
             "seed": self.seed,
         }
 
@@ -154,6 +175,33 @@ def read_settings(path: Path) -> Settings:
         raise SettingsError(f"{path}: {error}") from error
 
 
+def settings_of_model(described: Mapping[str, Any]) -> Settings:
+    """Return the settings of an identification from what its model says of them; defaults where it is silent.
+
+    Args:
+        described: `Provenance.settings`, made by `IdentificationConfig.describe`.
+
+    Raises:
+        SettingsError: they cannot be understood.
+    """
+
+    def known(section: type[Strict], values: Mapping[str, Any]) -> dict[str, Any]:
+        if values.get("automatic"):
+            return {"load": values.get("load", ())}
+        return {key: value for key, value in values.items() if key in section.model_fields}
+
+    content: dict[str, Any] = {"drift": described.get("drift", False)}
+    for direction, values in described.get("structure", {}).items():
+        dead_zone = described.get("dead_zones", {}).get(direction)
+        content[direction] = {**known(ChannelSection, values), "dead_zone": dead_zone}
+    content["search"] = known(SearchSection, described.get("search", {}))
+    content["training"] = known(TrainingSection, described.get("training", {}))
+    try:
+        return IdentifyFile.model_validate(content).settings()
+    except ValidationError as error:
+        raise SettingsError(f"the settings of the model: {describe(error)}") from error
+
+
 def stamp_of(settings: Settings) -> dict[str, object]:
     """Return all that the outcome of `identify_many` depends on beside the logs, as JSON values.
 
@@ -166,7 +214,7 @@ def stamp_of(settings: Settings) -> dict[str, object]:
         "training": TRAINING,
         "dead_zones": {},
         "drift": False,
-        "comparison": None,
+        "rivals": False,
         "seed": 0,
     }
     return identification_config(DEFAULT_STRUCTURES, PAPER_SPECS, **{**defaults, **settings}).stamp

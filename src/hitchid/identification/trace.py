@@ -14,7 +14,16 @@ def describe_channel(trace: ChannelTrace) -> dict:
     What is not finite (the standard error of an undetermined parameter) is null.
     """
     dead_zone, phase1, phase2, holdout_test = trace.dead_zone, trace.phase1, trace.phase2, trace.holdout_test
-    search_result = phase1.fit.search_result
+    search_result, objective = phase1.fit.search_result, phase1.fit.searched
+    # A smaller form may have been searched: of its parameters those that the model has.
+    names = {estimate.name for estimate in phase1.parameter_estimates}
+    searched = {
+        parameter.name: column
+        for parameter, column in zip(
+            objective.spec.parameters, objective.values(search_result.best_trace).T, strict=True
+        )
+        if parameter.name in names
+    }
     return {
         "dead_zone": {
             "value": dead_zone.value,
@@ -31,14 +40,8 @@ def describe_channel(trace: ChannelTrace) -> dict:
             "failures": search_result.failures,
             "reason": search_result.reason,
             "fitness": [_finite(value) for value in search_result.fitness_trace],
-            "values": np.column_stack(
-                [
-                    estimate.value_at(column)
-                    for estimate, column in zip(
-                        phase1.parameter_estimates, search_result.best_trace.T, strict=True
-                    )
-                ]
-            ).tolist(),
+            "searched": list(searched),
+            "values": np.column_stack(list(searched.values())).tolist(),
         },
         "phase2": None
         if phase2 is None

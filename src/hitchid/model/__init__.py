@@ -13,8 +13,6 @@ from hitchid.model.channel import remove_padding as remove_padding
 from hitchid.model.characteristics import Characteristics as Characteristics
 from hitchid.model.characteristics import MeasuredSpeed as MeasuredSpeed
 from hitchid.model.characteristics import SpeedPoint as SpeedPoint
-from hitchid.model.comparison import Comparison as Comparison
-from hitchid.model.comparison import SearchSummary as SearchSummary
 from hitchid.model.estimates import Estimate as Estimate
 from hitchid.model.estimates import Estimates as Estimates
 from hitchid.model.estimates import Interval as Interval
@@ -36,6 +34,8 @@ from hitchid.model.responses import FrequencyResponse as FrequencyResponse
 from hitchid.model.responses import StepResponse as StepResponse
 from hitchid.model.responses import frequency_response as frequency_response
 from hitchid.model.responses import step_responses as step_responses
+from hitchid.model.rivals import Rivals as Rivals
+from hitchid.model.rivals import SearchSummary as SearchSummary
 from hitchid.model.simulation import Simulation as Simulation
 from hitchid.model.speed import SteadySpeed as SteadySpeed
 from hitchid.model.state import HitchState as HitchState

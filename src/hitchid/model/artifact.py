@@ -1,4 +1,8 @@
-"""Model folder: `model.json` (canonical JSON), tensors of model and baselines, `trace.json`."""
+"""Model folder: `model.json` (canonical JSON) with tensors and trace, and beside it the rivals.
+
+The rivals have a description of their own, which names the digest of the model: training them later leaves
+the model as it is, bit for bit.
+"""
 
 import json
 from collections.abc import Mapping
@@ -13,14 +17,17 @@ from hitchid._support import checks
 from hitchid._support.precision import double_precision
 from hitchid._support.storage import canonical_json, digest, inside_folder, write_folder
 from hitchid.errors import InputError, ModelFolderError
-from hitchid.model.description import KIND, comparison_tensors, deployed_tensors, describe, read_hitch
+from hitchid.model.description import KIND, SCHEMA, deployed_tensors, describe, read_hitch
 from hitchid.model.hitch import Hitch
-from hitchid.model.migration import MIGRATIONS, SCHEMA, is_readable, migrate
+from hitchid.model.rivals import Rivals
+from hitchid.model.rivals_description import describe_rivals, read_rivals, rivals_tensors
 
 MODEL_FILE = "model.json"
 WEIGHTS_FILE = "weights.safetensors"
-BASELINES_FILE = "baselines.safetensors"
 TRACE_FILE = "trace.json"
+RIVALS_FILE = "rivals.json"
+RIVALS_WEIGHTS_FILE = "rivals.safetensors"
+RIVALS_KIND = "rivals of a hitchid model"
 
 
 def save(
@@ -41,17 +48,23 @@ def save(
     checks.instance(hitch, Hitch, "model", "a model as hitchid.load returns it")
     files = {
         WEIGHTS_FILE: save_tensors(deployed_tensors(hitch)),
-        BASELINES_FILE: save_tensors(comparison_tensors(hitch)),
         TRACE_FILE: canonical_json(trace or {}),
     }
-    content = describe(hitch)
-    content["files"] = {name: digest(data) for name, data in files.items()}
-    content["digest"] = digest(canonical_json(content))
+    content = _sealed(describe(hitch), files)
+    files[MODEL_FILE] = canonical_json(content)
+    if hitch.rivals:
+        weights = {RIVALS_WEIGHTS_FILE: save_tensors(rivals_tensors(hitch.rivals))}
+        described = {
+            "schema": SCHEMA,
+            "kind": RIVALS_KIND,
+            "model": content["digest"],
+            "rivals": describe_rivals(hitch.rivals),
+        }
+        files |= weights | {RIVALS_FILE: canonical_json(_sealed(described, weights))}
 
     def write(target: Path) -> None:
         for name, data in files.items():
             (target / name).write_bytes(data)
-        (target / MODEL_FILE).write_bytes(canonical_json(content))
 
     write_folder(checks.path(folder, "folder"), write, result_kind=MODEL_FILE, force=force)
 
@@ -65,21 +78,32 @@ def load(folder: str | Path) -> Hitch:
         InputError: `folder` is not a path.
     """
     path = checks.path(folder, "folder")
-    content = _read_description(path)
-    stored = [
-        _read_checked(path / name, content)
-        for name in (WEIGHTS_FILE, BASELINES_FILE)
-        if name == WEIGHTS_FILE or name in content["files"]
-    ]
+    content = _read_description(path / MODEL_FILE, KIND, "a model folder")
+    weights = _read_checked(path / WEIGHTS_FILE, content)
     _read_checked(path / TRACE_FILE, content)
     try:
-        tensors = {name: array for data in stored for name, array in load_tensors(data).items()}
-        hitch = read_hitch(*migrate(content, tensors))
+        hitch = read_hitch(content, load_tensors(weights))
         written = datetime.fromtimestamp((path / MODEL_FILE).stat().st_mtime, UTC)
     except Exception as error:  # an edited description may come with a recomputed digest
         raise ModelFolderError(f"{path}: cannot be parsed: {error!r}") from error
     provenance = replace(hitch.provenance, name=path.resolve().name, date=f"{written:%Y-%m-%d}")
-    return replace(hitch, provenance=provenance)
+    return replace(hitch, provenance=provenance, rivals=_load_rivals(path, content["digest"]))
+
+
+def _load_rivals(folder: Path, model_digest: str) -> dict[str, Rivals]:
+    """Return the rivals stored beside a model; none where it has none."""
+    if not (folder / RIVALS_FILE).exists():
+        return {}
+    content = _read_description(folder / RIVALS_FILE, RIVALS_KIND, "rivals")
+    if content.get("model") != model_digest:
+        raise ModelFolderError(
+            f"{folder / RIVALS_FILE}: belongs to another model; remove it, and train the rivals again"
+        )
+    weights = _read_checked(folder / RIVALS_WEIGHTS_FILE, content)
+    try:
+        return read_rivals(content["rivals"], load_tensors(weights))
+    except Exception as error:  # as in `load`
+        raise ModelFolderError(f"{folder / RIVALS_FILE}: cannot be parsed: {error!r}") from error
 
 
 def is_model_folder(path: Path) -> bool:
@@ -97,27 +121,41 @@ def load_trace(folder: str | Path) -> dict:
         ModelFolderError, InputError: as `load`.
     """
     path = checks.path(folder, "folder")
-    data = _read_checked(path / TRACE_FILE, _read_description(path))
+    content = _read_description(path / MODEL_FILE, KIND, "a model folder")
+    data = _read_checked(path / TRACE_FILE, content)
     try:
         return json.loads(data)
     except (ValueError, RecursionError) as error:
         raise ModelFolderError(f"{path / TRACE_FILE}: cannot be parsed: {error!r}") from error
 
 
-def _read_description(folder: Path) -> dict:
-    path = folder / MODEL_FILE
-    data = _read(path, "a model folder")
+def _sealed(content: Mapping[str, object], files: Mapping[str, bytes]) -> dict[str, object]:
+    """Return a description with the digests of its files and its own."""
+    listed = {**content, "files": {name: digest(data) for name, data in files.items()}}
+    return {**listed, "digest": digest(canonical_json(listed))}
+
+
+def _read_description(path: Path, kind: str, required: str) -> dict:
+    """Return a description whose digest and schema are right.
+
+    Args:
+        path: its file.
+        kind: what the description must say that it is.
+        required: what is expected, for the error of a missing file.
+    """
+    data = _read(path, required)
     try:
         content = json.loads(data)
         canonical = canonical_json(content)
     except (ValueError, RecursionError) as error:
         raise ModelFolderError(f"{path}: is truncated or was edited: {type(error).__name__}") from error
-    if not isinstance(content, dict) or content.get("kind") != KIND:
-        raise ModelFolderError(f"{path}: is not the description of a hitchid model")
-    if not is_readable(content.get("schema")):
+    if not isinstance(content, dict) or content.get("kind") != kind:
+        raise ModelFolderError(f"{path}: is not the description of {kind}")
+    schema = content.get("schema")
+    if type(schema) is not int or schema != SCHEMA:
         raise ModelFolderError(
-            f"{path}: has schema {content.get('schema')!r}, expected {min(MIGRATIONS)} to {SCHEMA}; "
-            "it may be from another version of hitchid; identify again"
+            f"{path}: schema {schema!r}, expected {SCHEMA}: it is from another version of hitchid; "
+            "identify again"
         )
     claimed = content.pop("digest", "")
     if canonical != data or claimed != digest(canonical_json(content)):

@@ -1,4 +1,4 @@
-"""Conversion between a model and JSON and tensors; models for comparison have separate tensors."""
+"""Conversion between a model and JSON and tensors."""
 
 from dataclasses import asdict
 from typing import Any
@@ -7,20 +7,16 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from hitchid.model.channel_description import channel_tensors, describe_channel, read_channel
-from hitchid.model.comparison import Comparison, SearchSummary
-from hitchid.model.estimates import Estimates
 from hitchid.model.hitch import Hitch
-from hitchid.model.migration import SCHEMA
 from hitchid.model.provenance import Provenance, TwoModes
-from hitchid.model.tensors import Tensors, fill, shapes_of, tensors_of
+from hitchid.model.tensors import Tensors
 from hitchid.model.uncertainty import Uncertainty
 
 KIND = "hitchid model"
+SCHEMA = 13  # version of the layout of a model folder
 SUBSETS = ("identification", "validation", "held_out")
 _UNCERTAINTY = TypeAdapter(Uncertainty)
-_ESTIMATES = TypeAdapter(Estimates | None)
 _TWO_MODES = TypeAdapter(TwoModes | None)
-_SEARCHES = TypeAdapter(tuple[SearchSummary, ...])
 
 
 def describe(hitch: Hitch) -> dict[str, object]:
@@ -37,9 +33,6 @@ def describe(hitch: Hitch) -> dict[str, object]:
             direction: asdict(uncertainty) for direction, uncertainty in hitch.uncertainty.items()
         },
         "channels": {direction: describe_channel(channel) for direction, channel in hitch.channels.items()},
-        "comparison": {
-            direction: _describe_comparison(comparison) for direction, comparison in hitch.comparison.items()
-        },
         "split": {
             subset: {direction: list(names) for direction, names in getattr(provenance, subset).items()}
             for subset in SUBSETS
@@ -64,17 +57,6 @@ def deployed_tensors(hitch: Hitch) -> dict[str, np.ndarray]:
     """Return the arrays of the channels, `direction/part/path`."""
     parts = [channel_tensors(channel, direction) for direction, channel in hitch.channels.items()]
     return {name: array for component in parts for name, array in component.items()}
-
-
-def comparison_tensors(hitch: Hitch) -> dict[str, np.ndarray]:
-    """Return the arrays of the models for comparison, `direction/baselines/…` and `direction/paper/…`."""
-    tensors = {}
-    for direction, comparison in hitch.comparison.items():
-        for name, fitted in comparison.baselines.items():
-            tensors |= tensors_of(fitted, f"{direction}/baselines/{name}")
-        if comparison.paper is not None:
-            tensors |= channel_tensors(comparison.paper, f"{direction}/paper")
-    return tensors
 
 
 def read_hitch(content: dict[str, Any], tensors: Tensors) -> Hitch:
@@ -115,40 +97,4 @@ def read_hitch(content: dict[str, Any], tensors: Tensors) -> Hitch:
             direction: _UNCERTAINTY.validate_python(described)
             for direction, described in content["uncertainty"].items()
         },
-        {
-            direction: _read_comparison(direction, described, tensors)
-            for direction, described in content["comparison"].items()
-        },
-    )
-
-
-def _describe_comparison(comparison: Comparison) -> dict[str, object]:
-    paper, estimates = comparison.paper, comparison.paper_estimates
-    return {
-        "baselines": list(comparison.baselines),
-        "covariates": list(comparison.covariates),
-        "dropped": list(comparison.dropped),
-        "paper": None if paper is None else describe_channel(paper),
-        "paper_parameters": None if estimates is None else asdict(estimates),
-        "searches": [asdict(search) for search in comparison.searches],
-    }
-
-
-def _read_comparison(direction: str, described: dict[str, Any], tensors: Tensors) -> Comparison:
-    # Imported here: baselines import global searches and optimisers, which a deployed model does not need.
-    from hitchid.baselines.registry import baseline_named
-
-    baselines = {}
-    for name in described["baselines"]:
-        prefix = f"{direction}/baselines/{name}"
-        skeleton = baseline_named(name).skeleton(shapes_of(tensors, prefix))
-        baselines[name] = fill(skeleton, tensors, prefix)
-    paper = described["paper"]
-    return Comparison(
-        baselines,
-        None if paper is None else read_channel(direction, paper, tensors, f"{direction}/paper"),
-        _ESTIMATES.validate_python(described["paper_parameters"]),
-        _SEARCHES.validate_python(described["searches"]),
-        tuple(described["covariates"]),
-        tuple(described["dropped"]),
     )

@@ -3,8 +3,6 @@
 from dataclasses import dataclass, replace
 from math import inf, log
 
-import numpy as np
-
 from hitchid._support.short_repr import short_repr
 
 Interval = tuple[float | None, float | None]
@@ -67,12 +65,6 @@ class Estimate:
             bootstrap=self.bootstrap and _scale_interval(self.bootstrap, factor),
             profile=tuple((factor * value, fitness) for value, fitness in self.profile),
         )
-
-    def value_at(self, position: np.ndarray) -> np.ndarray:
-        """Return the values at positions between the bounds, 0 the lower and 1 the upper one."""
-        if self.linear:
-            return self.lower + position * (self.upper - self.lower)
-        return self.lower * (self.upper / self.lower) ** position
 
 
 @short_repr

@@ -22,7 +22,6 @@ from hitchid.model import conversion, extrapolation, pickling, plotting, thresho
 from hitchid.model.bands import Band, Bands, bands_by_channel
 from hitchid.model.channel import Channel
 from hitchid.model.commands import Commands, Numbers
-from hitchid.model.comparison import Comparison
 from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
 from hitchid.model.free_run import last_measured, multi_step_predictions
 from hitchid.model.handover import Handover
@@ -31,6 +30,7 @@ from hitchid.model.loads import Load, covariates_of, load_to_estimate
 from hitchid.model.packing import Packed
 from hitchid.model.parameters import ParameterTable, parameter_table
 from hitchid.model.provenance import Provenance, TwoModes
+from hitchid.model.rivals import Rivals
 from hitchid.model.set_by_hand import with_parameters
 from hitchid.model.simulation import SimulatedModel, Simulation, simulate
 from hitchid.model.state import HitchState, Switching
@@ -53,7 +53,7 @@ class Hitch(Value, Summarised, Handover):
         drift: speed of a piston that is held, in the displacement's unit/s.
         two_modes: test for two modes; None where it was not possible.
         uncertainty: direction to the uncertainty of its channel; empty where it was not computed.
-        comparison: direction to the models fitted to the same tests for comparison only.
+        rivals: direction to the models fitted to the same tests for comparison only.
     """
 
     channels: Mapping[str, Channel]
@@ -63,7 +63,7 @@ class Hitch(Value, Summarised, Handover):
     drift: float = 0.0
     two_modes: TwoModes | None = None
     uncertainty: Mapping[str, Uncertainty] = field(default_factory=dict)
-    comparison: Mapping[str, Comparison] = field(default_factory=dict)
+    rivals: Mapping[str, Rivals] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Make channels and units read-only, and sort channels in the order of `DIRECTIONS`."""
@@ -90,6 +90,11 @@ class Hitch(Value, Summarised, Handover):
             name: `command`, `displacement` or `load`.
         """
         return extrapolation.describe_range(self.channels[direction], self.units, name)
+
+    @property
+    def has_trained_rivals(self) -> bool:
+        """Whether rivals were trained beside it that are not fitted to every model."""
+        return any(rivals.trained for rivals in self.rivals.values())
 
     @property
     def dead_zones(self) -> dict[str, float]:
@@ -322,7 +327,7 @@ class Hitch(Value, Summarised, Handover):
 
         A changed direction loses what was computed for its old values: compensators, which were trained on
         the errors of the old benchmark, bands, which were calibrated with them, speed map, Fisher information
-        and comparison models. The interval of a parameter that was not set stays only if its estimate hardly
+        and rivals. The interval of a parameter that was not set stays only if its estimate hardly
         depends on the set ones, by at most a tenth of its standard error.
 
         Args:

@@ -34,22 +34,20 @@ def with_parameters(model: "Hitch", changes: Mapping[str, Mapping[str, float] | 
         if values is not None
     }
     given = {direction: values for direction, values in given.items() if values}
-    channels, uncertainty, comparison = dict(model.channels), dict(model.uncertainty), dict(model.comparison)
+    channels, uncertainty, rivals = dict(model.channels), dict(model.uncertainty), dict(model.rivals)
     set_by_hand = {direction: dict(values) for direction, values in model.provenance.set_by_hand.items()}
     for direction, values in given.items():
         checks.one_of(direction, model.channels, "direction")
         channel = model.channels[direction]
         checked = _checked(channel, model.uncertainty.get(direction), direction, values)
         channels[direction] = _changed(channel, checked)
-        comparison.pop(direction, None)
+        rivals.pop(direction, None)
         if direction in uncertainty:
             estimates = _without_intervals(uncertainty[direction].benchmark, checked)
             uncertainty[direction] = Uncertainty(estimates)
         set_by_hand[direction] = {**set_by_hand.get(direction, {}), **checked}
     provenance = replace(model.provenance, set_by_hand=set_by_hand, digest="") if given else model.provenance
-    return replace(
-        model, channels=channels, uncertainty=uncertainty, comparison=comparison, provenance=provenance
-    )
+    return replace(model, channels=channels, uncertainty=uncertainty, rivals=rivals, provenance=provenance)
 
 
 def _checked(

@@ -21,7 +21,7 @@ class TracedDeadZone:
 
 @dataclass(frozen=True)
 class TracedEstimates:
-    """Estimates of the parameters, in the order of the search's values."""
+    """Estimates of the parameters."""
 
     parameters: tuple[Estimate, ...]
 
@@ -33,17 +33,20 @@ class TracedSearch:
     Attributes:
         uncertainty: estimates after least squares.
         fitness: best RMSE so far by iteration, in the model's unit; None while none was finite.
+        searched: names of the parameters that were searched; a model of a larger form has more.
         values: the parameters of that RMSE, one row per iteration.
     """
 
     uncertainty: TracedEstimates
     fitness: tuple[float | None, ...]
+    searched: tuple[str, ...]
     values: tuple[tuple[float, ...], ...]
 
     @property
     def parameters(self) -> tuple[Estimate, ...]:
-        """Estimates after least squares."""
-        return self.uncertainty.parameters
+        """Estimates of the searched parameters, after least squares."""
+        by_name = {estimate.name: estimate for estimate in self.uncertainty.parameters}
+        return tuple(by_name[name] for name in self.searched)
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,7 @@ class TracedCandidate:
         name: of the specification.
         rmse, held_out_rmse: in free run on all tests and on held-out levels.
         chosen: whether it was chosen.
-        held_out_rmse_per_test_gain: on held-out levels with a gain fitted to each test; None in older traces.
+        held_out_rmse_per_test_gain: on held-out levels with a gain fitted to each test.
     """
 
     name: str
@@ -85,7 +88,7 @@ class ChannelTraceFile:
         candidates: model specifications that were compared.
         notices: of the identification.
         choice_held_out_rmse: RMSE on levels that neither fitted nor chose the specification; None where
-            nothing was chosen, and in older traces.
+            nothing was chosen.
     """
 
     dead_zone: TracedDeadZone

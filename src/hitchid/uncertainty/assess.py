@@ -67,16 +67,16 @@ def assess(
     ]
     free = np.array([not (result.bound or result.insensitive) for result in results])
     parts = split_progress(progress, ASSESSMENT_SHARES)
-    parts["standard errors"](ProgressUpdate("phase 1, standard errors", 0.0))
+    parts["standard errors"](ProgressUpdate("standard errors of the parameters", 0.0))
     influence = compute_influence(objective, position, free, dead_zone, seed=seed)
     for number, result in enumerate(results):
-        stage, name = "phase 1, intervals", result.parameter.name.replace("_", " ")
+        stage, name = "intervals of the parameters", result.parameter.name.replace("_", " ")
         parts["intervals"](ProgressUpdate(stage, number / len(results), name))
         results[number] = _with_interval(result, objective, position, influence, dead_zone)
     profiles = [result.profile for result in results if result.profile is not None]
     results = [replace(result, interval=_with_open_ends(result, profiles)) for result in results]
     results = over_parameters_at_bound(results, objective, position)
-    parts["derived"](ProgressUpdate("phase 1, derived quantities", 0.0))
+    parts["derived"](ProgressUpdate("quantities that follow from the parameters", 0.0))
     quantities = derived(objective, position, influence, profiles, units)
     estimates = Estimates(
         parameters=_estimates(results, objective, position, influence, quantities, units),

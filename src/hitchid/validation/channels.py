@@ -10,7 +10,7 @@ import numpy as np
 from hitchid._support.metrics import HORIZONS
 from hitchid.baselines.persistence import Persistence, delayed
 from hitchid.data.record import Record
-from hitchid.model import Channel, Comparison, Estimates, Uncertainty, remove_padding
+from hitchid.model import Channel, Estimates, Rivals, Uncertainty, remove_padding
 from hitchid.structures import Batch
 from hitchid.validation.bands import band_figures, free_run_band
 from hitchid.validation.names import BENCHMARK, FREE_RUN, GREYBOX, ONE_STEP, PERSISTENCE
@@ -51,7 +51,7 @@ def channel_result(
     tests: Sequence[Record],
     factor: float,
     uncertainty: Uncertainty | None,
-    comparison: Comparison,
+    rivals: Rivals,
 ) -> ChannelResult:
     """Return the results of a channel on unseen tests.
 
@@ -60,9 +60,9 @@ def channel_result(
         tests: on the model's clock and in its units.
         factor: from the model's unit of displacement to that of the figures.
         uncertainty: estimates and bands of the channel; None if the model has none.
-        comparison: baselines fitted to the same tests.
+        rivals: models fitted to the same tests.
     """
-    runs = _run(channel, comparison, tests)
+    runs = _run(channel, rivals, tests)
     half_width = _half_width(channel, runs, uncertainty)
     multi_step = runs.multi_step[GREYBOX]
     accuracy = _accuracy(runs, tests, factor, half_width)
@@ -77,7 +77,7 @@ def channel_result(
     }
     if uncertainty is None:
         return ChannelResult(accuracy, residuals)
-    paper = comparison.paper_estimates
+    paper = rivals.paper_estimates
     return ChannelResult(
         accuracy,
         residuals,
@@ -85,11 +85,11 @@ def channel_result(
         paper_parameters=paper and _with_profiles_scaled(paper, factor),
         characteristics=uncertainty.characteristics,
         load_scatter=uncertainty.load_scatter,
-        searches=tuple(search.scaled(factor) for search in comparison.searches),
+        searches=tuple(search.scaled(factor) for search in rivals.searches),
     )
 
 
-def _run(channel: Channel, comparison: Comparison, tests: Sequence[Record]) -> _ModelRuns:
+def _run(channel: Channel, rivals: Rivals, tests: Sequence[Record]) -> _ModelRuns:
     batch = channel.batch(tests)
     steps = [h for h in HORIZONS if h < min(map(len, tests))]
     benchmark = np.asarray(channel.simulate_benchmark(batch))
@@ -98,7 +98,7 @@ def _run(channel: Channel, comparison: Comparison, tests: Sequence[Record]) -> _
     def restarted(simulated: np.ndarray) -> list[np.ndarray]:
         return [delayed(measured, h) + simulated - delayed(simulated, h) for h in steps]
 
-    baselines = _baseline_runs(channel, comparison, tests, steps)
+    baselines = _baseline_runs(channel, rivals, tests, steps)
     multi_step = {
         PERSISTENCE: Persistence().predict(batch, steps),
         BENCHMARK: restarted(benchmark),
@@ -213,17 +213,17 @@ class _BaselineRun(NamedTuple):
 
 
 def _baseline_runs(
-    channel: Channel, comparison: Comparison, tests: Sequence[Record], steps: Sequence[int]
+    channel: Channel, rivals: Rivals, tests: Sequence[Record], steps: Sequence[int]
 ) -> dict[str, _BaselineRun]:
     """Return the runs of the baselines, by name; none of those whose covariate a test lacks."""
-    runs, covariates = {}, comparison.covariates
+    runs, covariates = {}, rivals.covariates
     if all(name in record.signals for record in tests for name in covariates):
         batch = channel.batch(tests, covariates=covariates)
         runs = {
             name: _BaselineRun(_limited(channel, batch, fitted.free_run(batch)), fitted.predict(batch, steps))
-            for name, fitted in comparison.baselines.items()
+            for name, fitted in rivals.baselines.items()
         }
-    paper = paper_channel(channel, comparison)
+    paper = paper_channel(channel, rivals)
     if paper is not None:
         batch = channel.batch(tests).with_dead_zone(paper.dead_zone)
         runs["transfer_function"] = _BaselineRun(np.asarray(paper.simulate_benchmark(batch)))
@@ -244,13 +244,13 @@ def _limited(channel: Channel, batch: Batch, displacement: np.ndarray) -> np.nda
     )
 
 
-def paper_channel(channel: Channel, comparison: Comparison) -> Channel | None:
+def paper_channel(channel: Channel, rivals: Rivals) -> Channel | None:
     """Return the channel by the method of Sun et al. 2025: the channel itself if its benchmark is linear.
 
     None where it was not fitted, or no baselines were.
     """
-    if comparison.paper is not None:
-        return comparison.paper
+    if rivals.paper is not None:
+        return rivals.paper
     physical_model = channel.benchmark
     is_linear = physical_model.structure.linear is not None and physical_model.nonlinearity is None
-    return channel if is_linear and comparison.baselines else None
+    return channel if is_linear and rivals.baselines else None

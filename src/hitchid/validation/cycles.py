@@ -7,7 +7,7 @@ import numpy as np
 
 from hitchid._support.metrics import HORIZONS
 from hitchid.data.record import Record
-from hitchid.model import Band, Comparison, FreeRun, Hitch, Simulation
+from hitchid.model import Band, FreeRun, Hitch, Rivals, Simulation
 from hitchid.validation.bands import COVERAGE, cycle_band_figures
 from hitchid.validation.channels import paper_channel
 from hitchid.validation.names import BENCHMARK, FREE_RUN, GREYBOX, PERSISTENCE
@@ -95,7 +95,7 @@ def _bands(simulations: Sequence[Simulation], factor: float) -> list[Band] | Non
 def _paper_model(model: Hitch) -> Hitch | None:
     """Return the transfer functions of Sun et al. 2025 as one hitch model; None if they were not fitted."""
     paper_channels = {
-        direction: paper_channel(channel, model.comparison.get(direction, Comparison()))
+        direction: paper_channel(channel, model.rivals.get(direction, Rivals()))
         for direction, channel in model.channels.items()
     }
     uncompensated = {

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hitchid.data.record import DISPLACEMENT, Record
-from hitchid.model import Channel, Comparison, Hitch
+from hitchid.model import Channel, Hitch, Rivals
 from hitchid.validation.names import BENCHMARK, GREYBOX, RUNS, model_name
 from hitchid.validation.results import Accuracy, CycleResult
 
@@ -29,24 +29,17 @@ def channel_notices(
     return notices
 
 
-def baseline_notices(direction: str, comparison: Comparison, tests: Sequence[Record]) -> list[str]:
+def baseline_notices(direction: str, rivals: Rivals, tests: Sequence[Record]) -> list[str]:
     """Return the notices of baselines that are not compared.
 
     Args:
         direction: lifting or lowering.
-        comparison: models fitted to the same tests as the channel.
+        rivals: models fitted to the same tests as the channel.
         tests: on the model's clock and in its units.
     """
-    notices = []
-    if comparison.dropped:
-        names = ", ".join(comparison.dropped)
-        notices.append(
-            f"{direction}: made by an older version and not used: {names}; identify again to have them"
-        )
-    lacking = [
-        (test.name, name) for test in tests for name in comparison.covariates if name not in test.signals
-    ]
-    if comparison.baselines and lacking:
+    notices = [f"{direction}: {notice}" for notice in rivals.notices]
+    lacking = [(test.name, name) for test in tests for name in rivals.covariates if name not in test.signals]
+    if rivals.baselines and lacking:
         (test, covariate), *_ = lacking
         notices.append(
             f"{direction}: the baselines are not compared: they use '{covariate}', which {test} lacks"

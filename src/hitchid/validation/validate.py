@@ -10,7 +10,7 @@ from hitchid.data.campaign import Campaign
 from hitchid.data.record import CYCLE, DISPLACEMENT, Record
 from hitchid.data.units import conversion_factor
 from hitchid.errors import InputError
-from hitchid.model import Comparison, Hitch
+from hitchid.model import Hitch, Rivals
 from hitchid.validation.channels import channel_result
 from hitchid.validation.cycles import cycle_result
 from hitchid.validation.notices import (
@@ -97,6 +97,11 @@ def validate(
             "every test of these logs was used for identification, or is in a direction "
             "that the model does not have; expected at least one other test"
         )
+    if not model.has_trained_rivals:
+        notices.append(
+            "compared with persistence, ARX and the paper's transfer function only; hitchid rivals MODEL "
+            "LOGS trains OE, NARX, a black-box LSTM and the paper's grey box"
+        )
     mode_test = model.two_modes
     if mode_test is not None:
         notices.append(mode_test.sentence)
@@ -114,10 +119,10 @@ def _validate_direction(
     if not unseen:
         return None, []
     tests = [model.to_model_units(record) for record in unseen]
-    channel, comparison = model.channels[direction], model.comparison.get(direction, Comparison())
-    result = channel_result(channel, tests, factor, model.uncertainty.get(direction), comparison)
+    channel, rivals = model.channels[direction], model.rivals.get(direction, Rivals())
+    result = channel_result(channel, tests, factor, model.uncertainty.get(direction), rivals)
     notices = channel_notices(direction, result.accuracy, channel, tests)
-    notices = [*notices, *baseline_notices(direction, comparison, tests)]
+    notices = [*notices, *baseline_notices(direction, rivals, tests)]
     return result, [*set_by_hand_notices(model, direction), *notices]
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent, subtask_progress
 from hitchid._support.short_repr import short_repr
 from hitchid._support.storage import write_files, write_folder
-from hitchid.estimation import SearchComparison
 from hitchid.estimation.global_search.whale import WhaleConfig
 from hitchid.experiments.virtual_campaign import REPEATS, Protocol, write_campaign
 from hitchid.identification import (
@@ -19,7 +18,7 @@ from hitchid.identification import (
     Whale,
     identify,
 )
-from hitchid.identification.identify import COMPARISON, DEFAULT_STRUCTURES, PAPER_SPECS, TRAINING, WHALE
+from hitchid.identification.identify import DEFAULT_STRUCTURES, PAPER_SPECS, TRAINING, WHALE
 from hitchid.readers import read
 from hitchid.report import FIGURES, Table, read_trace, render, write_report_files
 from hitchid.structures import ModelSpec
@@ -42,7 +41,8 @@ class Plan:
         tests: number of dynamic tests per direction.
         cycles: number of mixed cycles.
         structure: direction to the form of hitchid's model, by default chosen automatically.
-        search, training, comparison: settings of both identifications.
+        search, training: settings of both identifications.
+        rivals: whether hitchid's model is compared with trained rivals.
     """
 
     tests: int = 20
@@ -50,15 +50,15 @@ class Plan:
     structure: Mapping[str, ModelSpec | AutoStructure] = field(default_factory=lambda: DEFAULT_STRUCTURES)
     search: Search = WHALE
     training: CompensatorConfig = TRAINING
-    comparison: SearchComparison | None = COMPARISON
+    rivals: bool = True
 
 
 def quick_plan() -> Plan:
     """Return a short plan: fewer tests, a smaller search, shorter training, no baselines."""
     optimizer = AdamConfig(epochs=40, patience=20)
-    training = CompensatorConfig(hidden=16, adam=optimizer, free_run=None, baselines=False)
+    training = CompensatorConfig(hidden=16, adam=optimizer, free_run=None)
     search = Whale(WhaleConfig(iterations=40, evaluations=1200))
-    return Plan(tests=8, cycles=1, search=search, training=training, comparison=None)
+    return Plan(tests=8, cycles=1, search=search, training=training, rivals=False)
 
 
 @short_repr
@@ -128,7 +128,7 @@ def reproduce(
             structure=chosen_plan.structure,
             search=chosen_plan.search,
             training=chosen_plan.training,
-            comparison=chosen_plan.comparison,
+            rivals=chosen_plan.rivals,
             seed=seed,
             progress=subtask_progress(report, 0.1, 0.5),
         )
@@ -137,8 +137,8 @@ def reproduce(
             structure=PAPER_SPECS,
             search=chosen_plan.search,
             # As published: no compensator for free run; the baselines are in the default identification.
-            training=replace(chosen_plan.training, free_run=None, baselines=False),
-            comparison=None,
+            training=replace(chosen_plan.training, free_run=None),
+            rivals=None,
             seed=seed,
             progress=subtask_progress(report, 0.6, 0.15),
         )

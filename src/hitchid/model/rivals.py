@@ -1,4 +1,4 @@
-"""Models fitted to the tests of one direction for comparison only; none of them is deployed."""
+"""Rivals: models fitted to the tests of one direction for comparison only; none of them is deployed."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -37,17 +37,19 @@ class SearchSummary:
 
 @short_repr
 @dataclass(frozen=True)
-class Comparison:
+class Rivals:
     """Models fitted to the same tests as a channel, for comparison.
 
     Attributes:
         baselines: name to fitted baseline.
-        paper: model of Sun et al. 2025: a transfer function, and a compensator in closed loop on its own
-            predictions in free run; None where not fitted, or where the channel itself is this model.
+        paper: model of Sun et al. 2025: a transfer function and, where it was trained, a compensator in
+            closed loop on its own predictions in free run; None where not fitted, or where the channel
+            itself is this model.
         paper_estimates: estimates of the parameters of its transfer function; None likewise.
         searches: summaries of the global searches that were compared; empty where none were.
         covariates: names of the covariates that the baselines use.
-        dropped: parts of a model of an older version that this version does not read.
+        notices: what could not be fitted, and why.
+        trained: whether those are among them that are fitted on request only.
     """
 
     baselines: Mapping[str, FittedBaseline] = field(default_factory=dict)
@@ -55,10 +57,11 @@ class Comparison:
     paper_estimates: Estimates | None = None
     searches: tuple[SearchSummary, ...] = ()
     covariates: tuple[str, ...] = ()
-    dropped: tuple[str, ...] = ()
+    notices: tuple[str, ...] = ()
+    trained: bool = False
 
-    def with_limits(self, limits: TravelLimits | None) -> "Comparison":
-        """Return the comparison with the paper's model limited to the limits of the plant."""
+    def with_limits(self, limits: TravelLimits | None) -> "Rivals":
+        """Return the rivals with the paper's model limited to the limits of the plant."""
         return self if self.paper is None else replace(self, paper=replace(self.paper, limits=limits))
 
 

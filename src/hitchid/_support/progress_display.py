@@ -1,6 +1,8 @@
-"""Progress output: on a terminal a bar and sparklines of the minimised figures, else one line per stage.
+"""Progress of long work as it is shown.
 
-With `HITCHID_PROGRESS=json` in the environment it is lines of JSON, for programs that show it themselves.
+On a terminal a bar and sparklines of the minimised figures, in a notebook a bar, else a line per stage or,
+from a script, nothing. With `HITCHID_PROGRESS=json` in the environment the command line writes lines of JSON,
+for programs that show it themselves.
 """
 
 import json
@@ -9,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from html import escape
 from math import isfinite, log
 
 from rich.console import Console, Group
@@ -17,38 +20,87 @@ from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemaini
 from rich.progress import Progress as Bar
 from rich.text import Text
 
+from hitchid._support import checks
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent
 
 FORMAT_VARIABLE = "HITCHID_PROGRESS"
 SHORTEST_S = 0.1  # s between lines of JSON of one stage; chosen: faster than anyone reads
+KNOWN_FRACTION = 0.05  # of the work, from which on the time left is estimated; chosen
 BLOCKS = "▁▂▃▄▅▆▇█"
 WIDTH, NAME = 36, 28  # characters of a sparkline and of its name, for 80 columns
 
 
 @contextmanager
+def shown(progress: ProgressCallback | bool) -> Iterator[ProgressCallback]:
+    """Yield the callback of a public function: its own, or for True a bar where somebody watches.
+
+    Raises:
+        InputError: it is neither True or False nor can be called.
+    """
+    if not (isinstance(progress, bool) or callable(progress)):
+        raise checks.input_error("progress", "True, False or a function of a progress update", progress)
+    if not isinstance(progress, bool):
+        yield progress
+    elif progress and "ipykernel" in sys.modules:
+        yield _NotebookBar().report
+    elif progress and sys.stderr is not None and sys.stderr.isatty():
+        with _terminal_bar() as report:
+            yield report
+    else:
+        yield silent
+
+
+@contextmanager
 def progress(*, quiet: bool = False) -> Iterator[ProgressCallback]:
-    """Yield a callback that shows progress on stderr: live on a terminal, else one line per stage."""
+    """Yield a callback that shows the progress of a command on stderr; none if `quiet`."""
     if quiet:
         yield silent
-        return
-    if os.environ.get(FORMAT_VARIABLE) == "json":
+    elif os.environ.get(FORMAT_VARIABLE) == "json":
         yield _JsonLines().report
-        return
-    if not sys.stderr.isatty():
+    elif sys.stderr.isatty():
+        with _terminal_bar() as report:
+            yield report
+    else:
         lines = _Lines()
         yield lines.report
         lines.end()
-        return
+
+
+@contextmanager
+def _terminal_bar() -> Iterator[ProgressCallback]:
     bar = Bar(BarColumn(24), TaskProgressColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
     task = bar.add_task("", total=1.0)
     curves = Curves()
-    with Live(Group(bar, curves), console=Console(stderr=True), transient=True, refresh_per_second=8):
+    console = Console(stderr=True)
+    with Live(Group(bar, curves), console=console, transient=True, refresh_per_second=8):
 
         def show(step: ProgressUpdate) -> None:
+            if step.message:
+                console.print(step.message, markup=False, highlight=False)
             curves.update(step)
             bar.update(task, description=curves.stages, completed=step.fraction)
 
         yield show
+
+
+class _NotebookBar:
+    """A bar with the present stage, replaced in the output of its cell; messages stay below it."""
+
+    def __init__(self) -> None:
+        from IPython.display import HTML, display  # pyright: ignore[reportMissingImports]
+
+        self._html, self._messages = HTML, ""
+        self._handle = display(HTML(""), display_id=True)
+        self._printed_s = 0.0
+
+    def report(self, step: ProgressUpdate) -> None:
+        now_s = time.monotonic()
+        if now_s - self._printed_s < SHORTEST_S and not step.message and step.fraction < 1:
+            return
+        self._printed_s = now_s
+        self._messages += f"<br>{escape(step.message)}" if step.message else ""
+        bar = f'<progress max="1" value="{step.fraction:.3f}"></progress> {escape(step.stage)}'
+        self._handle.update(self._html(bar + self._messages))
 
 
 class Curves:
@@ -109,7 +161,7 @@ class _JsonLines:
     def report(self, step: ProgressUpdate) -> None:
         stage, printed_s = self._last.get(step.task, ("", 0.0))
         now_s = time.monotonic()
-        if step.stage == stage and now_s - printed_s < SHORTEST_S:
+        if step.stage == stage and now_s - printed_s < SHORTEST_S and not step.message:
             return
         self._last[step.task] = step.stage, now_s
         figures = {name: value for name, value in step.figures.items() if isfinite(value)}
@@ -119,18 +171,27 @@ class _JsonLines:
 
 
 class _Lines:
-    """Prints a line at the start of each stage, and one with its last figures."""
+    """Prints messages, a line at the start of a stage with the time left, and one with its last figures."""
 
     def __init__(self) -> None:
         self._last: dict[str, ProgressUpdate] = {}
+        self._begin_s = time.monotonic()
 
     def report(self, step: ProgressUpdate) -> None:
         last = self._last.get(step.task)
-        if last is None or step.stage != last.stage:
+        if step.message:
+            sys.stderr.write(f"{step.message}\n")
+        elif last is None or step.stage != last.stage:
             self.end(*filter(None, [step.task]))
-            sys.stderr.write(f"{step.fraction:4.0%}  {step.stage}\n")
-            sys.stderr.flush()
+            sys.stderr.write(f"{step.fraction:4.0%}  {step.stage}{self._time_left(step.fraction)}\n")
+        sys.stderr.flush()
         self._last[step.task] = step
+
+    def _time_left(self, fraction: float) -> str:
+        if not KNOWN_FRACTION < fraction < 1:
+            return ""
+        left_s = (time.monotonic() - self._begin_s) * (1 - fraction) / fraction
+        return f", about {max(left_s, 1):.0f} s left"
 
     def end(self, *tasks: str) -> None:
         """Write the last figures of the given tasks, by default of all."""

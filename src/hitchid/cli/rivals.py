@@ -1,0 +1,46 @@
+"""`hitchid rivals`: models of other kinds, trained on the tests of a model, beside it."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hitchid._support.compilation import prepare_jax
+from hitchid.cli.cache import with_search_cache
+from hitchid.cli.options import Force, Logs, Quiet, Signals, Strict
+from hitchid.errors import OutputError
+
+
+def rivals(
+    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    logs: Logs,
+    signals: Signals = None,
+    strict: Strict = False,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Train the rivals of a model on the tests that it was identified from; validate then compares them.
+
+    OE, NARX, a black-box LSTM, the paper's grey box and the searches of the parameters. The model itself
+    stays as it is, bit for bit.
+    """
+    from hitchid.cli import terminal as display
+
+    prepare_jax()
+    from hitchid.estimation import SearchComparison
+    from hitchid.identification import train_rivals
+    from hitchid.model import load, load_trace, save
+    from hitchid.readers import read
+
+    hitch, trace = load(model), load_trace(model)
+    if hitch.has_trained_rivals and not force:
+        raise OutputError(f"{model}: has trained rivals already; --force trains them again")
+    campaign = read(logs, signals=signals, strict=strict)
+    display.show_left_out(campaign, quiet=quiet)
+    with display.progress(quiet=quiet) as report:
+        hitch = train_rivals(hitch, campaign, searches=with_search_cache(SearchComparison()), progress=report)
+    save(hitch, model, trace=trace, force=True)
+    if not quiet:
+        for direction, of_direction in hitch.rivals.items():
+            display.write_messages(f"{direction}, notice", of_direction.notices)
+        display.write_result(model, "rivals trained; hitchid validate compares them")
