@@ -1,9 +1,10 @@
 """Linear autoregression with inputs (ARX)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import product
 
 import numpy as np
+from jaxtyping import Float
 
 from hitchid.baselines.autoregression import Autoregression
 from hitchid.baselines.baseline import Baseline, FitContext, Sizes
@@ -36,10 +37,7 @@ class Arx(Autoregression):
     @classmethod
     def fit(cls, scaling: LinearInputs, tests: Sequence[UnpaddedTest], order: int) -> "Arx":
         """Fit by least squares one step ahead to tests that start from rest."""
-        rows = np.concatenate([_lagged(test, order)[test.loss_mask] for test in tests])
-        target = np.concatenate([test.travel[test.loss_mask] for test in tests])
-        solution = np.linalg.lstsq(rows, target, rcond=None)[0]
-        return cls(scaling, solution[:order], solution[order:].reshape(-1, order))
+        return _solved(scaling, _triangular_factor(tests, order), order, order, len(tests[0].inputs))
 
     @property
     def lag(self) -> int:
@@ -74,18 +72,23 @@ class ArxBaseline(Baseline):
         """Return the ARX model: order and inputs by free run, coefficients one step ahead on all tests."""
         scaling = LinearInputs.of(tests)
         training, validation, _ = split_validation(tests)
+        largest = max(scaling.counts)
 
-        def fit(batch: Batch, order: int, count: int) -> Arx:
-            return Arx.fit(scaling, unpadded_tests(batch, scaling.rows(batch, count)), order)
-
-        def error(choice: tuple[int, int]) -> float:
-            model = fit(training, *choice)
+        def error(model: Arx) -> float:
             validation_tests = unpadded_tests(validation, model.inputs(validation))
             return free_run_error(
                 [model.simulate(test.inputs) for test in validation_tests], validation_tests
             )
 
-        return fit(tests, *min(product(ORDERS, scaling.counts), key=error))
+        def factor(batch: Batch) -> Float[np.ndarray, "r c"]:
+            return _triangular_factor(unpadded_tests(batch, scaling.rows(batch, largest)), max(ORDERS))
+
+        of_training = factor(training)
+        models = [
+            _solved(scaling, of_training, max(ORDERS), *choice) for choice in product(ORDERS, scaling.counts)
+        ]
+        best = min(models, key=error)
+        return _solved(scaling, factor(tests), max(ORDERS), best.lag, len(best.gains))
 
     def skeleton(self, shapes: Sizes) -> Arx:
         """Return a model of the stored order, all coefficients zero."""
@@ -94,6 +97,28 @@ class ArxBaseline(Baseline):
             np.zeros(shapes["past"]),
             np.zeros(shapes["gains"]),
         )
+
+
+def _triangular_factor(tests: Iterable[UnpaddedTest], max_order: int) -> Float[np.ndarray, "r c"]:
+    """Return R of the QR factors of all equations with their right side as last column.
+
+    Least squares of every smaller order and number of inputs are those of some of its columns: the tests are
+    read once for all of them. Columns are lags 1 … n of travel, then of each input.
+    """
+    factor = np.zeros((0, 0))
+    for test in tests:
+        rows = np.column_stack([_lagged(test, max_order), test.travel])[test.loss_mask]
+        factor = np.linalg.qr(np.vstack([factor, rows]) if factor.size else rows, mode="r")
+    return factor
+
+
+def _solved(
+    scaling: LinearInputs, factor: Float[np.ndarray, "r c"], max_order: int, order: int, inputs: int
+) -> Arx:
+    """Return the ARX model of an order with the first inputs, fitted one step ahead."""
+    first_lags = max_order * np.arange(1 + inputs)[:, None] + np.arange(order)
+    solution = np.linalg.lstsq(factor[:, first_lags.ravel()], factor[:, -1], rcond=None)[0]
+    return Arx(scaling, solution[:order], solution[order:].reshape(-1, order))
 
 
 def _lagged(test: UnpaddedTest, order: int) -> np.ndarray:

@@ -26,6 +26,9 @@ HORIZONS, FURTHER_HORIZONS = (1, 3, 10, 30, 100), (300, 1000)
 MAX_TESTS = 48  # of more tests every m-th is used, which bounds the time; chosen
 MAX_ORIGINS = 1_000  # samples of all tests from which predictions start, which bounds the time; chosen
 MAX_EVALUATIONS, REFIT_EVALUATIONS = 100, 6  # of the likelihood; a refit starts at an optimum; chosen
+# Of a test: longer ones are searched on a coarser clock, from whose optimum a refit on their own starts. An
+# evaluation takes as long as the tests have samples, and a load that lasts needs no kilohertz; chosen.
+SEARCH_SAMPLES = 2_048
 TOLERANCE = 1e-5  # change of the mean log likelihood at which the search ends; chosen: far below its error
 LOAD_SCATTER = 1  # index among the fields of a filter
 RANGE = 1e4  # the parameters lie within this factor of their typical values; chosen
@@ -89,6 +92,10 @@ def fit_load_filter(
     """
     if not np.all(np.isfinite(benchmark)):
         raise FitError("the simulated displacement of a test is not finite")
+    evaluations = MAX_EVALUATIONS if first_guess is None else REFIT_EVALUATIONS
+    if first_guess is None and batch.command.shape[1] > SEARCH_SAMPLES:
+        coarse = batch.decimate(SEARCH_SAMPLES)
+        first_guess = fit_load_filter(coarse, benchmark[:, :: round(coarse.step_s / batch.step_s)])
     longest = int(np.asarray(batch.loss_mask).sum(axis=1).max())
     judged = (*HORIZONS, *within_a_second(FURTHER_HORIZONS, batch.step_s))
     horizons = tuple(horizon for horizon in judged if horizon < longest) or HORIZONS[:1]
@@ -107,7 +114,6 @@ def fit_load_filter(
     def search(max_load_scatter: float) -> OptimizeResult:
         upper = np.full(typical.size, limit)
         upper[LOAD_SCATTER] = np.log(max_load_scatter)
-        evaluations = MAX_EVALUATIONS if first_guess is None else REFIT_EVALUATIONS
         return minimize(
             objective,
             np.clip(start, -limit, upper),

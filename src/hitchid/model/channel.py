@@ -136,7 +136,7 @@ class Channel(eqx.Module):
         return displacement if self.limits is None else self.limits.clip(displacement, batch.initial[:, None])
 
     @double_precision
-    def predict(self, batch: Batch, horizons: tuple[int, ...]) -> Float[Array, "h t n"]:
+    def predict(self, batch: Batch, horizons: tuple[int, ...], every: int = 1) -> Float[Array, "h t n"]:
         """Return the h-step-ahead predictions, from displacement measured up to h samples before.
 
         Near the start of a test, sample k < h is predicted from the initial displacement.
@@ -144,6 +144,7 @@ class Channel(eqx.Module):
         Args:
             batch: tests.
             horizons: prediction horizons h, in samples.
+            every: predictions start from every so many samples; those from other samples are NaN.
 
         Returns:
             Predictions, shape [len(horizons), T, N].
@@ -153,7 +154,7 @@ class Channel(eqx.Module):
         tests = Sample(time_s, batch.command, benchmark, batch.displacement)
         trust = self.operating_range.trust(jnp.abs(batch.command), benchmark, self._load(batch)[:, None])
         return benchmark + predict_errors(
-            ErrorPredictor(self.load_filter, self.compensator), tests, trust, horizons, batch.step_s
+            ErrorPredictor(self.load_filter, self.compensator), tests, trust, horizons, batch.step_s, every
         )
 
 

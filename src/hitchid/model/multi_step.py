@@ -31,6 +31,7 @@ def predict_errors(
     trust: Float[Array, "t n"],
     horizons: tuple[int, ...],
     step_s: float,
+    every: int = 1,
 ) -> Float[Array, "h t n"]:
     """Return the prediction ê at every sample from measurements up to h samples before, for each h.
 
@@ -42,30 +43,35 @@ def predict_errors(
         trust: factor on the predicted increments, 0 to 1, shape [T, N].
         horizons: prediction horizons h, in samples.
         step_s: sampling time, s.
+        every: predictions start from every so many samples; those from other samples are NaN.
     """
 
     def errors_of_test(test_and_trust: tuple[Sample, Array]) -> Float[Array, "h n"]:
         test, test_trust = test_and_trust
-        errors_ahead = multi_step_errors(predictor, test, test_trust, max(horizons), step_s)
-        # errors_ahead[h − 1, i] is for sample i + h; the origin of the first samples is sample 0.
+        errors_ahead = multi_step_errors(predictor, test, test_trust, max(horizons), step_s, every)
+        # errors_ahead[h − 1, i] is for sample i · every + h; the origin of the first samples is sample 0.
         sample_index = jnp.arange(test_trust.size)
         rows = []
         for horizon in horizons:
             steps = jnp.minimum(sample_index, horizon)
-            rows.append(
-                jnp.where(
-                    sample_index > 0, errors_ahead[jnp.maximum(steps - 1, 0), sample_index - steps], 0.0
-                )
-            )
+            origin = sample_index - steps
+            errors = errors_ahead[jnp.maximum(steps - 1, 0), origin // every]
+            errors = jnp.where(origin % every == 0, errors, jnp.nan)
+            rows.append(jnp.where(sample_index > 0, errors, 0.0))
         return jnp.stack(rows)
 
     return jnp.moveaxis(jax.lax.map(errors_of_test, (tests, trust)), 1, 0)
 
 
 def multi_step_errors(
-    predictor: ErrorPredictor, test: Sample, trust: Float[Array, " n"], horizon: int, step_s: float
-) -> Float[Array, "h n"]:
-    """Return ê(i+h) for h = 1 … horizon from every origin i of one measured test.
+    predictor: ErrorPredictor,
+    test: Sample,
+    trust: Float[Array, " n"],
+    horizon: int,
+    step_s: float,
+    every: int = 1,
+) -> Float[Array, "h m"]:
+    """Return ê(i+h) for h = 1 … horizon from every m-th sample i of one measured test.
 
     To the error that the filter predicts the compensator adds the innovation to come, up to its largest
     horizon. Up to the origin filter and features use measurements, beyond it the model's own output.
@@ -76,14 +82,16 @@ def multi_step_errors(
         trust: factor on the predicted increments, shape [N].
         horizon: largest prediction horizon, in samples.
         step_s: sampling time, s.
+        every: m, samples from one origin to the next.
     """
     count = trust.shape[0]
+    origins = np.arange(0, count, every)
     load_filter, compensator = predictor
-    _, estimates = load_filter.estimates(test.benchmark, test.displacement, step_s)
+    _, estimates = load_filter.estimates(test.benchmark, test.displacement, step_s, every)
 
-    def filtered(estimates: ErrorEstimate, first: int) -> Float[Array, "k n"]:
+    def filtered(estimates: ErrorEstimate, first: int) -> Float[Array, "k m"]:
         """Return the errors after samples first + 1 … horizon, from the estimates after sample `first`."""
-        ahead = jnp.arange(count) + jnp.arange(first, horizon + 1)[:, None]
+        ahead = origins + jnp.arange(first, horizon + 1)[:, None]
         increments = jnp.diff(test.benchmark[jnp.minimum(ahead, count - 1)], axis=0)
         return load_filter.ahead(estimates, increments, np.arange(1, horizon - first + 1), step_s)[0]
 
@@ -99,7 +107,8 @@ def multi_step_errors(
         return state, (state, factor * innovation)
 
     first = jax.tree.map(lambda array: array[0], test)
-    _, (states, innovations) = jax.lax.scan(advance_measured, compensator.init_state(first), (test, trust))
+    _, measured = jax.lax.scan(advance_measured, compensator.init_state(first), (test, trust))
+    states, innovations = jax.tree.map(lambda values: values[::every], measured)
 
     def from_origin(
         origin: Array, state: CompensatorState, estimate: ErrorEstimate, innovation: Array
@@ -120,7 +129,7 @@ def multi_step_errors(
         return estimate, errors
 
     by_origin = jax.vmap(from_origin, in_axes=(0, 0, -1, 0), out_axes=-1)
-    estimates, errors = by_origin(jnp.arange(count), states, estimates, innovations)
+    estimates, errors = by_origin(jnp.asarray(origins), states, estimates, innovations)
     if corrected == horizon:
         return errors
     return jnp.concatenate([errors, filtered(estimates, corrected)])
