@@ -16,7 +16,10 @@ MISSING = [name for name in NEEDED if importlib.util.find_spec(name) is None]
 LOADING = {"img": ("src", "srcset"), "script": ("src",), "iframe": ("src",), "link": ("href",)}
 LOADING |= dict.fromkeys(("audio", "video", "source", "embed"), ("src", "poster"))
 
-pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}; run make setup")
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}; run make setup"),
+]
 
 
 class Page(HTMLParser):

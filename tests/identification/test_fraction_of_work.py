@@ -41,6 +41,7 @@ def test_the_fraction_rises_in_small_steps_without_training(campaign, quick_sett
         assert f"lifting: phase 1, {task}" in stages
 
 
+@pytest.mark.long
 def test_the_fraction_rises_in_small_steps_with_training_and_a_choice_of_structure(campaign, quick_settings):
     automatic = AutoStructure(ModelSpec(structure_named("integrator-first-order")))
     structure = {**quick_settings["structure"], "lifting": automatic}

@@ -137,9 +137,7 @@ def refused(folder, place, name, data):
         load(place)
 
 
-sampled = settings(
-    deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+sampled = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -10,7 +10,7 @@ from textwrap import fill
 import matplotlib as mpl
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 from scipy.integrate import trapezoid
@@ -727,7 +727,6 @@ VALUES = st.lists(
 )
 
 
-@settings(max_examples=40)
 @given(values=VALUES, repeats=st.integers(1, 120), seed=st.integers(0, 99))
 def test_a_thinned_curve_keeps_its_extremes_its_gaps_and_its_order(values, repeats, seed):
     whole = np.random.default_rng(seed).permutation(np.repeat(np.array(values, dtype=float), repeats))
@@ -742,7 +741,6 @@ def test_a_thinned_curve_keeps_its_extremes_its_gaps_and_its_order(values, repea
         assert (np.nanmin(kept), np.nanmax(kept)) == (np.nanmin(whole), np.nanmax(whole))
 
 
-@settings(max_examples=20)
 @given(samples=st.integers(700, 5000), seed=st.integers(0, 99))
 def test_a_thinned_curve_lies_nowhere_far_from_the_whole(samples, seed):
     walk = np.cumsum(np.random.default_rng(seed).standard_normal(samples))

@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
@@ -332,7 +332,6 @@ def test_whatever_a_name_holds_it_is_read_as_it_was_written(said):
         assert image["aria-label"].replace("\r\n", "\n") == heard
 
 
-@settings(deadline=None, max_examples=40)
 @given(said=st.text(max_size=30))
 def test_no_text_breaks_the_page(said):
     small = Document(

@@ -711,6 +711,7 @@ def test_logs_of_any_name_are_reported(logs, tmp_path):
     assert escape(f">cycle-{markup}<", quote=False)[4:-4] in timeline[: timeline.index("</svg>")]
 
 
+@pytest.mark.long
 def test_a_report_of_forty_tests_is_smaller_than_3_megabytes(tmp_path):
     campaign = read(benches.write_bench(tmp_path / "logs", tests=20, samples=1000))
     assert len(campaign.records) == 40
