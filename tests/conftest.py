@@ -101,6 +101,18 @@ def bench(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def identified(once, bench, quick_settings):
+    """Return a folder with `model`, identified from `bench`, and `kept`, the pieces kept on the way."""
+    import hitchid
+
+    def identify(folder: Path) -> None:
+        found = hitchid.identify(hitchid.read(bench), **quick_settings, checkpoints=folder / "kept")
+        found.save(folder / "model")
+
+    return once("identified", identify)
+
+
+@pytest.fixture(scope="session")
 def bench_folder(tmp_path_factory):
     """Return one small folder of made-up logs of a two-way plant, for tests that only read it."""
     return write_bench(tmp_path_factory.mktemp("bench") / "logs", tests=3, samples=250)
