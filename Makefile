@@ -1,7 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup lint test gauntlet gauntlet-full docs reproduce bench study pins clean
+.PHONY: setup lint test test-all gauntlet gauntlet-full docs reproduce bench study pins clean
 
 setup: .venv/.ready
 
@@ -18,7 +18,11 @@ lint: setup
 	$(BIN)/lint-imports
 
 test: setup lint
-	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 20
+	$(BIN)/python -m pytest -m "not long" -n 2 --dist worksteal --durations 20
+
+# What `make test` leaves out, and its tests by examples again, with more of them.
+test-all: setup
+	HITCHID_EXAMPLES=full $(BIN)/python -m pytest -m "long or hypothesis" -n 2 --dist worksteal --durations 20
 
 gauntlet: setup
 	$(BIN)/python -m benchmarks.gauntlet

@@ -1,9 +1,11 @@
 """What every test shares: double precision, checked shapes, made-up benches, measured data."""
 
 import atexit
+import fcntl
 import os
 import shutil
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -27,9 +29,11 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
 jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
-# How long an example takes depends on the machine and on what else it does; `benchmarks/speed` measures.
-settings.register_profile("without deadlines", deadline=None)
-settings.load_profile("without deadlines")
+# How long an example takes depends on the machine and on what else it does; `benchmarks/speed` measures. The
+# examples are the same in every run: a run that fails has found a fault in what was changed.
+settings.register_profile("few", deadline=None, derandomize=True, max_examples=25)
+settings.register_profile("full", deadline=None, derandomize=True, max_examples=100)
+settings.load_profile(os.environ.get("HITCHID_EXAMPLES", "few"))
 
 install_import_hook("hitchid", "beartype.beartype")
 
@@ -37,20 +41,45 @@ from benches import write_bench  # noqa: E402
 from hitchid.data.record import Record  # noqa: E402
 
 # From the longest: begun last, they would keep one core waiting for the other.
-LONG = ("test_sun2025.py", "test_examples.py", "test_checkpoints.py", "test_measured.py", "test_selection.py")
+LONGEST = ("test_sun2025.py", "test_examples.py", "test_checkpoints.py", "test_selection.py")
+# A compiled program is several regions of memory, of which Linux grants a process 65 530 in all.
+MAX_MEMORY_MAPS = 40_000
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
 
 def pytest_collection_modifyitems(items):
     """Put the files that take longest first, so that two workers end together."""
-    items.sort(key=lambda item: LONG.index(item.path.name) if item.path.name in LONG else len(LONG))
+    items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
 
 
 @pytest.fixture(autouse=True, scope="module")
-def compiled_programs_are_dropped():
-    """Drop compiled programs after each file: a process may map only so many of them into memory."""
+def compiled_programs_are_bounded():
+    """Drop compiled programs after a file where they fill much of the memory maps a process may have."""
     yield
-    jax.clear_caches()
+    maps = Path("/proc/self/maps")
+    if not maps.exists() or maps.read_bytes().count(b"\n") > MAX_MEMORY_MAPS:
+        jax.clear_caches()
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory):
+    """Return a function that gives a folder of this run, filled by the first of the workers that asks."""
+    place = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        place = place.parent
+
+    def folder(name: str, fill: Callable[[Path], None]) -> Path:
+        filled = place / name
+        with (place / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not (place / f"{name}.filled").exists():
+                shutil.rmtree(filled, ignore_errors=True)
+                filled.mkdir()
+                fill(filled)
+                (place / f"{name}.filled").touch()
+        return filled
+
+    return folder
 
 
 @pytest.fixture
@@ -69,6 +98,18 @@ def data():
 def bench(tmp_path_factory):
     """Return a folder of made-up logs of a two-way plant, enough of them for every part of a model."""
     return write_bench(tmp_path_factory.mktemp("whole") / "logs")
+
+
+@pytest.fixture(scope="session")
+def identified(once, bench, quick_settings):
+    """Return a folder with `model`, identified from `bench`, and `kept`, the pieces kept on the way."""
+    import hitchid
+
+    def identify(folder: Path) -> None:
+        found = hitchid.identify(hitchid.read(bench), **quick_settings, checkpoints=folder / "kept")
+        found.save(folder / "model")
+
+    return once("identified", identify)
 
 
 @pytest.fixture(scope="session")

@@ -29,7 +29,6 @@ from hitchid.model import load
 from hitchid.model.artifact import load_trace
 from hitchid.readers import ReaderProcess, find_logs, read, write_table
 
-INPUTS = 500
 MOST_MEMORY_KB = 2 * 2**20
 HEADER = b"time_s,current_up_A,current_down_A,displacement_mm\n"
 NAMES = tuple(fuzzing.columns())
@@ -89,14 +88,15 @@ def test_every_seed_is_read(every, process, tmp_path):
         assert fuzzing.tried(seed, tmp_path / "in", process) == (fuzzing.ACCEPTED, "", None), seed.name
 
 
-def test_random_damage_is_refused_or_harmless(every, process, tmp_path):
+@pytest.mark.parametrize("inputs", [500, pytest.param(5000, marks=pytest.mark.long)])
+def test_random_damage_is_refused_or_harmless(every, process, tmp_path, inputs):
     whole = {}
     for seed in (seed for seed in every if seed.sealed):
         fuzzing.put(tmp_path / "in", seed.files)
         whole[seed.name] = fuzzing.told_apart(seed.door(tmp_path / "in", process))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        for number in range(INPUTS):
+        for number in range(inputs):
             rng = np.random.default_rng([23, number])
             seed = every[number % len(every)]
             fuzzing.put(tmp_path / "in", fuzzing.changed(rng, seed, every))

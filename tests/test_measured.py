@@ -13,6 +13,8 @@ from hitchid.identification.identify import PAPER_SPECS
 from hitchid.identification.phase1 import find_parameters
 from hitchid.identification.preparation import prepare
 
+pytestmark = pytest.mark.long
+
 
 def test_the_lag_of_the_papers_lowering_model_is_not_printed_as_if_it_were_determined(data):
     whole = read(data("rig-a"))

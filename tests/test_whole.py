@@ -11,19 +11,21 @@ import hitchid
 
 
 @pytest.fixture(scope="module")
-def identified(bench, quick_settings, tmp_path_factory):
-    """Return a campaign, what was identified from it, and the folder that was saved to."""
-    campaign = hitchid.read(bench)
-    found = hitchid.identify(campaign, **quick_settings)
-    folder = tmp_path_factory.mktemp("whole") / "model"
-    found.save(folder)
-    return campaign, found, folder
+def campaign(bench):
+    return hitchid.read(bench)
 
 
-def test_five_lines_take_a_user_from_a_folder_to_a_validated_model(identified):
-    campaign, _, folder = identified
-    model = hitchid.load(folder)
-    result = hitchid.validate(model, campaign)
+@pytest.fixture(scope="module")
+def model(identified):
+    return hitchid.load(identified / "model")
+
+
+@pytest.fixture(scope="module")
+def result(model, campaign):
+    return hitchid.validate(model, campaign)
+
+
+def test_five_lines_take_a_user_from_a_folder_to_a_validated_model(result):
     assert set(result.metrics["channels"]) == {"lifting", "lowering"}
     for mode, channel in result.metrics["channels"].items():
         assert channel["tests"] == [f"{mode}-05"]
@@ -42,9 +44,13 @@ def test_five_lines_take_a_user_from_a_folder_to_a_validated_model(identified):
     json.dumps(result.metrics, allow_nan=False)
 
 
-def test_a_loaded_model_gives_the_same_numbers(identified):
-    campaign, found, folder = identified
-    model = hitchid.load(folder)
+def test_one_seed_gives_one_model_whether_pieces_are_kept_or_not_and_loaded_it_gives_the_same_numbers(
+    identified, model, campaign, quick_settings, tmp_path
+):
+    found = hitchid.identify(campaign, **quick_settings)
+    found.save(tmp_path / "model")
+    for path in (identified / "model").iterdir():
+        assert path.read_bytes() == (tmp_path / "model" / path.name).read_bytes(), path.name
     for record in campaign.records[:1] + campaign.records[-1:]:
         np.testing.assert_array_equal(
             model.simulate(record).displacement, found.model.simulate(record).displacement
@@ -54,10 +60,8 @@ def test_a_loaded_model_gives_the_same_numbers(identified):
         )
 
 
-def test_the_speed_of_every_identification_test_is_reported(identified):
-    campaign, _, folder = identified
-    model = hitchid.load(folder)
-    metrics = hitchid.validate(model, campaign).metrics["channels"]
+def test_the_speed_of_every_identification_test_is_reported(model, campaign, result):
+    metrics = result.metrics["channels"]
     for direction, uncertainty in model.uncertainty.items():
         found = uncertainty.load_scatter
         names = [record.name for record in campaign.identification(direction)]

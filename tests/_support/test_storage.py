@@ -367,6 +367,7 @@ def mounted(tmp_path_factory):
     return run
 
 
+@pytest.mark.long
 def test_a_full_disk_is_told_and_the_run_goes_on_once_there_is_room(mounted):
     out, err = mounted(
         "identify",
@@ -389,6 +390,7 @@ def test_a_full_disk_is_told_and_the_run_goes_on_once_there_is_room(mounted):
     assert out[2:] == ["exit 0", "model", *files]
 
 
+@pytest.mark.long
 def test_a_disk_that_is_read_only_is_told_in_one_line(mounted):
     out, err = mounted("mount -o remount,ro $disk", "identify")
     assert out == ["exit 2"]

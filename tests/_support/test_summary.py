@@ -1,6 +1,6 @@
 """A summary is at most one screen of text; what does not fit is counted."""
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid._support.summary import MAX_LINES, MAX_WIDTH, Summary, first_notes, screen, shortened
@@ -8,7 +8,6 @@ from hitchid._support.summary import MAX_LINES, MAX_WIDTH, Summary, first_notes,
 CELLS = st.text(max_size=200)
 
 
-@settings(max_examples=25)
 @given(
     title=CELLS,
     rows=st.lists(st.tuples(CELLS, CELLS, CELLS), max_size=40),

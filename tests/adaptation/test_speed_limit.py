@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import machine
@@ -40,7 +40,6 @@ def test_the_limit_is_that_of_the_machine(limit):
     assert found == pytest.approx(limit, abs=LIMITS[1] - LIMITS[0])
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.floats(0.6, 1.2), st.floats(0.1, 0.45), st.floats(0.1, 0.45), st.integers(0, 1000))
 def test_another_gain_is_no_limit_whatever_the_levels(gain, first, second, seed):
     assert limit_of(machine.stroke(levels=(first, second), gain=gain, seed=seed)) == 1.0

@@ -106,7 +106,7 @@ def campaigns(draw):
 
 
 @given(campaigns())
-@settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(suppress_health_check=list(HealthCheck))
 def test_any_campaign_is_audited_and_described(drawn):
     try:
         with np.errstate(all="ignore"):

@@ -28,7 +28,13 @@ def run(*arguments) -> tuple[int, str]:
 
 
 @pytest.mark.parametrize(
-    ("target", "name"), [("c", "code"), ("fmu2", "a.fmu"), ("fmu3", "b.fmu"), ("onnx", "nets")]
+    ("target", "name"),
+    [
+        ("c", "code"),
+        pytest.param("fmu2", "a.fmu", marks=pytest.mark.long),
+        ("fmu3", "b.fmu"),
+        ("onnx", "nets"),
+    ],
 )
 def test_every_target_is_written(model, target: str, name: str, tmp_path) -> None:
     pytest.importorskip("onnx")

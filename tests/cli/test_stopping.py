@@ -15,7 +15,7 @@ import benches
 from hitchid._support.checkpoints import has_results, is_run
 from hitchid.readers import write_table
 
-pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals are others there")
+pytestmark = [pytest.mark.long, pytest.mark.skipif(os.name == "nt", reason="signals are others there")]
 
 PROGRAM = "from hitchid.__main__ import main; main()"
 # It should take a second; a machine with other work may take longer.

@@ -12,7 +12,7 @@ from hitchid.baselines.registry import all_baselines
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, Record
 from hitchid.errors import ModelFolderError
-from hitchid.identification import AdamConfig, CompensatorConfig, MultiStart
+from hitchid.identification import AdamConfig, CompensatorConfig, MultiStart, RivalsConfig
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "baseline_from_outside"
 NAME = "constant_speed"
@@ -56,7 +56,7 @@ def saved(tmp_path_factory):
             campaign(),
             structure={LIFTING: "integrator"},
             training=training,
-            rivals=None,
+            rivals=RivalsConfig(trained=True, searches=None),
             search=MultiStart(evaluations=20),
             dead_zones={LIFTING: 0.1},
         )

@@ -76,7 +76,6 @@ def largest(*arrays):
 
 
 @every_linear_structure
-@settings(deadline=None, max_examples=20)
 @given(data=st.data())
 def test_state_space_and_transfer_function_describe_one_system(structure, data):
     values = drawn(data, structure)
@@ -94,7 +93,6 @@ def test_state_space_and_transfer_function_describe_one_system(structure, data):
 
 
 @every_linear_structure
-@settings(deadline=None, max_examples=20)
 @given(data=st.data())
 def test_discretisation_agrees_with_scipy_for_any_parameters(structure, data):
     values = jnp.asarray(drawn(data, structure))
@@ -186,7 +184,7 @@ def test_python_control_gets_what_scipy_gets(structure, step_s, dead_time_s):
 
 
 @every_linear_structure
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(
     data=st.data(),
     seed=st.integers(0, 2**16),

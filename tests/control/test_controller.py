@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -70,7 +70,6 @@ def test_a_hitch_at_its_target_has_closed_valves(controller) -> None:
     assert float(state.reference.position) == START
 
 
-@settings(max_examples=40)
 @given(
     levels=arrays(np.float64, 6, elements=positions), measured=arrays(np.float64, SAMPLES, elements=positions)
 )

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -29,7 +29,6 @@ def run(targets, speeds=0.0, start: float = 0.0) -> Reference:
     return Reference(*map(np.asarray, followed(targets, speeds, jnp.asarray(start))))
 
 
-@settings(max_examples=60)
 @given(
     arrays(np.float64, 200, elements=st.floats(-200, 200)),
     arrays(np.float64, 200, elements=st.floats(-30, 30)),
@@ -46,7 +45,6 @@ def test_speed_and_acceleration_stay_within_their_limits(levels, speeds, each: i
     np.testing.assert_allclose(found.acceleration, (found.speed - before) / STEP_S, atol=1e-9)
 
 
-@settings(max_examples=60)
 @given(st.floats(-50, 50), st.floats(0, 200))
 def test_a_standing_target_is_reached_for_good_and_not_passed(distance: float, start: float) -> None:
     target = start + distance

@@ -99,6 +99,7 @@ def test_a_parameter_that_alone_is_uncertain_limits_alone(model: hitchid.Hitch):
     assert shares["gain"] > 0.8
 
 
+@pytest.mark.long
 def test_the_design_command_proposes_a_test_for_control(folder: Path):
     runner, model = CliRunner(), str(folder / "model")
     found = runner.invoke(app, ["design", model, "--for", "control", "--json"])
@@ -125,6 +126,7 @@ def test_a_model_in_other_units_is_refused(model: hitchid.Hitch):
         tune(replace(model, units={**model.units, "displacement": "m"}), draws=20)
 
 
+@pytest.mark.long
 def test_the_commands_tune_and_drive_with_limits(folder: Path):
     runner, file, out = CliRunner(), folder / "controller.toml", folder / "drive"
     tuned = runner.invoke(

@@ -6,7 +6,7 @@ from glob import escape
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from hitchid.data.campaign import Campaign
@@ -44,7 +44,6 @@ def test_without_patterns_the_last_fifth_of_each_mode_is_held_out(tests, held_ou
         assert names(campaign.held_out(mode)) == [f"{mode}-{n:02d}" for n in range(tests - held_out, tests)]
 
 
-@settings(deadline=None, max_examples=50)
 @given(
     kinds=st.lists(st.sampled_from([LIFTING, LOWERING, CYCLE, "idle"]), min_size=1, max_size=12),
     patterns=st.none() | st.lists(st.sampled_from(["*", "0*", "*[13579]", "00"]), min_size=1, max_size=3),

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid.data.clocks import resample_to_common_clock
@@ -268,7 +268,6 @@ clocks = st.builds(
 )
 
 
-@settings(deadline=None)
 @given(x=clocks, i=clocks, p=clocks, order=st.permutations(["x", "i", "p"]))
 def test_the_order_of_the_channels_does_not_matter_and_a_line_stays_one(x, i, p, order):
     signals = SIGNALS.model_copy(update={"covariates": (Column(column="p"),)})

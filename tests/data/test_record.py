@@ -11,7 +11,7 @@ from hitchid.data.resampling import GRID_TOLERANCE
 from hitchid.errors import InputError
 
 EPS = np.finfo(np.float64).eps
-with_fixture = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+with_fixture = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 lengths = st.integers(-(10**6), 10**6).map(lambda k: k / 1000)
 
 

@@ -83,7 +83,7 @@ def advice(model):
     return design(model)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(
     mode=st.sampled_from([LIFTING, LOWERING]),
     highest=st.floats(0.4, 1.5),

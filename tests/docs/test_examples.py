@@ -25,6 +25,8 @@ from hitchid.errors import InputError
 from hitchid.identification import identify, read_settings
 from hitchid.validation import read_limits
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[2]
 TUTORIAL = "docs/tutorial.md"
 # Pages that identify with the default settings, which takes minutes, and save a model where none was.
@@ -211,23 +213,25 @@ def test_there_are_examples_of_every_command():
     assert shown >= names - {"reproduce"}  # takes minutes; test_sun2025.py runs it
 
 
-def test_the_examples_work(subtests, tmp_path):
-    """The tutorial, then every other page from the folders and the `quick.toml` it leaves.
+@pytest.fixture(scope="session")
+def tutorial(once):
+    """Return the folder in which the tutorial was run."""
 
-    One test, so that one worker runs the tutorial once.
-    """
-    tutorial = tmp_path / "tutorial"
-    tutorial.mkdir()
-    run_page(TUTORIAL, tutorial)
-    assert {"logs", "ramps", "model", "results"} <= set(os.listdir(tutorial))
-    quick = partial(identify, **read_settings(tutorial / "quick.toml"))
-    for page in sorted(set(PAGES) - {TUTORIAL}):
-        with subtests.test(page=page), pytest.MonkeyPatch.context() as patch:
-            folder = tmp_path / page.replace("/", "-")
-            for name in ("logs", "ramps", "model"):
-                shutil.copytree(tutorial / name, folder / name)
-            shutil.copy(tutorial / "quick.toml", folder)
-            if page in DEFAULT_SETTINGS:
-                patch.setattr(hitchid, "identify", quick, raising=False)
-                shutil.rmtree(folder / "model")
-            run_page(page, folder)
+    def follow(folder: Path) -> None:
+        run_page(TUTORIAL, folder)
+        assert {"logs", "ramps", "model", "results"} <= set(os.listdir(folder))
+
+    return once("tutorial", follow)
+
+
+@pytest.mark.parametrize("page", sorted(set(PAGES) - {TUTORIAL}))
+def test_the_examples_work(page, tutorial, tmp_path, monkeypatch):
+    """Every page works from the folders and the `quick.toml` that the tutorial leaves."""
+    for name in ("logs", "ramps", "model"):
+        shutil.copytree(tutorial / name, tmp_path / name)
+    shutil.copy(tutorial / "quick.toml", tmp_path)
+    if page in DEFAULT_SETTINGS:
+        quick = partial(identify, **read_settings(tutorial / "quick.toml"))
+        monkeypatch.setattr(hitchid, "identify", quick, raising=False)
+        shutil.rmtree(tmp_path / "model")
+    run_page(page, tmp_path)

@@ -4,7 +4,6 @@ import importlib.util
 import subprocess
 import sys
 from html.parser import HTMLParser
-from itertools import pairwise
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
@@ -16,7 +15,10 @@ MISSING = [name for name in NEEDED if importlib.util.find_spec(name) is None]
 LOADING = {"img": ("src", "srcset"), "script": ("src",), "iframe": ("src",), "link": ("href",)}
 LOADING |= dict.fromkeys(("audio", "video", "source", "embed"), ("src", "poster"))
 
-pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}; run make setup")
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}; run make setup"),
+]
 
 
 class Page(HTMLParser):
@@ -140,14 +142,6 @@ def test_what_is_loaded_is_there(pages, site):
         and not (path.parent / unquote(urlsplit(address).path)).resolve().is_file()
     ]
     assert not lost
-
-
-def test_every_page_has_one_title_and_skips_no_rank(pages, site):
-    for path, page in pages.items():
-        name = path.relative_to(site)
-        assert page.headings.count(1) == 1, name
-        ranks = page.headings[page.headings.index(1) :]
-        assert all(after - before <= 1 for before, after in pairwise(ranks)), name
 
 
 def test_every_picture_has_alternative_text(pages, site):

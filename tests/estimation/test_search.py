@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid.errors import FitError, InputError
@@ -181,7 +181,6 @@ def test_a_number_of_starts_ends_the_search_before_its_budget():
     assert "iterations" in found.reason
 
 
-@settings(deadline=None, max_examples=30)
 @given(
     start=st.lists(st.floats(0, 1), min_size=3, max_size=3),
     optimum=st.lists(st.floats(0.05, 0.95), min_size=3, max_size=3),
@@ -233,7 +232,6 @@ def test_least_squares_that_can_step_nowhere_says_so():
     assert best.position[0] == 0.5
 
 
-@settings(deadline=None, max_examples=25)
 @given(start=st.lists(st.floats(0, 1), min_size=2, max_size=2))
 def test_rosenbrocks_valley_is_followed_to_its_end(start):
     """r = (10 (y − x²), 1 − x), x = 4 p − 2: the minimum is at (1, 1), curved and narrow on the way."""

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from jax.experimental import io_callback
 
@@ -199,7 +199,6 @@ ASKED = WhaleConfig(population=6, iterations=20)
 ask = eqx.filter_jit(whale.ask)
 
 
-@settings(deadline=None, max_examples=30)
 @given(seed=st.integers(0, 2**20), generation=st.integers(0, 20), corner=st.sampled_from([0.0, 0.5, 1.0]))
 def test_whales_stay_in_the_cube(seed, generation, corner):
     rng = np.random.default_rng(seed)

@@ -16,7 +16,14 @@ def compiler():
     return found
 
 
-@pytest.fixture(params=MODELS, scope="session")
+# Between them they have every part; the others have one each.
+TOGETHER = ("everything", "dry friction", "covariates along the stroke", "first order, fractional dead time")
+
+
+@pytest.fixture(
+    params=[name if name in TOGETHER else pytest.param(name, marks=pytest.mark.long) for name in MODELS],
+    scope="session",
+)
 def model(request) -> Hitch:
     """Return each hand-made model."""
     return MODELS[request.param]

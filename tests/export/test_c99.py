@@ -16,6 +16,7 @@ from hitchid.export.constants import constants_of
 from hitchid.structures import LinearStructure, Parameter, PhysicalModel
 
 
+@pytest.mark.long
 def test_two_exports_are_the_same_bytes(everything, compiler, tmp_path) -> None:
     folders = [tmp_path / "a", tmp_path / "b and ü"]
     for folder in folders:
@@ -139,6 +140,7 @@ def test_one_with_covariates_is_refused(tmp_path) -> None:
         to_c(replace(model, channels={"lifting": channel}), tmp_path / "out")
 
 
+@pytest.mark.long
 def test_text_in_comments_is_harmless(compiler, tmp_path) -> None:
     units = {"displacement": "mm */ int x; /*", "lifting_command": "°C µ \\"}
     model = replace(handmade.hitch(modes=("lifting",)), units=units)

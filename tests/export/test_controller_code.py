@@ -27,7 +27,7 @@ def tuned(request, tmp_path_factory):
     return model, ControllerFile(controller, "", model.provenance.digest, {}, {})
 
 
-@pytest.mark.parametrize("precision", ["mixed", "single"])
+@pytest.mark.parametrize("precision", ["mixed", pytest.param("single", marks=pytest.mark.long)])
 def test_the_code_gives_the_currents_of_the_controller(tuned, precision: str, compiler, tmp_path) -> None:
     model, content = tuned
     files, difference = controller_files(content, model, "lift", precision, compiler)

@@ -169,6 +169,7 @@ def test_any_step_size_takes_every_sample_once(
     instance.freeInstance()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("version", VERSIONS)
 def test_after_ten_hours_of_summed_steps_no_sample_is_lost(units, tmp_path, version: str) -> None:
     size_s, last_steps = 1 / 60, 300
@@ -283,6 +284,7 @@ def test_units_and_structure_are_told(units, version: str) -> None:
     assert [each.get("dependencies") for each in unknowns].count("") == len(unknowns) - (version == "fmi2")
 
 
+@pytest.mark.long
 def test_two_exports_are_the_same_bytes(everything, compiler, here, tmp_path) -> None:
     digests = set()
     for place in (tmp_path / "a.fmu", tmp_path / "b ü" / "b.fmu"):
@@ -295,6 +297,7 @@ def test_two_exports_are_the_same_bytes(everything, compiler, here, tmp_path) ->
         assert not any("\\" in name or ".." in name for name in archive.namelist())
 
 
+@pytest.mark.long
 def test_without_ziglang_another_platform_is_refused(
     everything, compiler, here, tmp_path, monkeypatch
 ) -> None:
@@ -322,6 +325,7 @@ def test_only_the_interface_is_visible(units, here, tmp_path) -> None:
         assert not hasattr(library, "hitch_step")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("version", VERSIONS)
 def test_the_sources_inside_compile(units, compiler, version: str, tmp_path) -> None:
     with zipfile.ZipFile(units[version]) as archive:
@@ -333,6 +337,7 @@ def test_the_sources_inside_compile(units, compiler, version: str, tmp_path) -> 
         assert (sources / name).read_bytes().isascii()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("version", VERSIONS)
 def test_a_tool_builds_a_unit_that_holds_sources_only(
     units, commands, expected, version: str, tmp_path, monkeypatch

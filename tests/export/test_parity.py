@@ -35,6 +35,7 @@ def test_other_precisions_repeat_the_model(everything, precision: str) -> None:
     assert parity.free_run <= (4e-8 if precision == "double" else ROUNDING[precision][1])
 
 
+@pytest.mark.long
 def test_optimisation_changes_nothing_beyond_rounding(everything, compiler, tmp_path) -> None:
     verified = verified_source(everything, "hitch", precision="mixed", compensators=False)
     for name, text in verified.files.items():

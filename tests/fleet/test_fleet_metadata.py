@@ -77,7 +77,7 @@ CELLS = st.text(
 )
 
 
-@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(rows=st.dictionaries(CELLS, CELLS, min_size=1, max_size=5))
 def test_every_text_that_a_csv_writer_writes_is_read_back(tmp_path, rows):
     path = tmp_path / "machines.csv"

@@ -50,7 +50,7 @@ def job(logs, folder) -> IdentificationJob:
     return identification_job(str(logs), str(folder), fleets.QUICK)
 
 
-@pytest.mark.parametrize("run", [run_local, run_on_cluster])
+@pytest.mark.parametrize("run", [run_local, pytest.param(run_on_cluster, marks=pytest.mark.long)])
 def test_models_do_not_depend_on_runner_workers_and_order(run, logs, results, tmp_path):
     own = job(logs, tmp_path)
     acknowledgements = list(run(own, machines_of(own.logs)[::-1], 2))
@@ -135,6 +135,7 @@ def test_failures_with_the_same_cause_are_one_group(results):
     assert result.counts == {"failed": 4, "done": 1}
 
 
+@pytest.mark.long
 def test_a_killed_worker_loses_nothing(logs, results, tmp_path):
     own, killed = job(logs, tmp_path), []
     acknowledgements = []
@@ -149,6 +150,7 @@ def test_a_killed_worker_loses_nothing(logs, results, tmp_path):
     assert fleets.model_digests(tmp_path) == fleets.model_digests(results)
 
 
+@pytest.mark.long
 def test_a_machine_that_ends_every_worker_is_left_unfinished(logs, tmp_path):
     own = job(logs, tmp_path)
     stop = threading.Event()
@@ -168,6 +170,7 @@ def test_a_machine_that_ends_every_worker_is_left_unfinished(logs, tmp_path):
     assert read_rows(own.results) == ()
 
 
+@pytest.mark.long
 def test_a_killed_run_goes_on_and_leaves_no_process(logs, results, tmp_path):
     settings = tmp_path / "quick.toml"
     settings.write_text(fleets.QUICK_TOML)
@@ -225,7 +228,7 @@ def test_a_model_without_its_row_is_not_taken_for_done(logs, tmp_path, monkeypat
     assert [row.machine for row in read_rows(own.results)] == [machine.name]
 
 
-@pytest.mark.parametrize("limit", range(5))
+@pytest.mark.parametrize("limit", [0, 4])
 def test_a_store_that_ends_in_mid_write_shows_no_model(limit, logs, tmp_path, monkeypatch):
     """A folder without `model.json` is no model; it has five files, and that is written last."""
     own = job(logs, tmp_path)

@@ -41,7 +41,7 @@ def s3():
         os.environ.pop(name) if value is None else os.environ.update({name: value})
 
 
-@pytest.fixture(params=["local", "memory", "s3"])
+@pytest.fixture(params=["local", "memory", pytest.param("s3", marks=pytest.mark.long)])
 def store(request, tmp_path):
     """Return an empty store of each kind."""
     if request.param == "s3":
@@ -110,6 +110,7 @@ def test_the_last_file_of_a_folder_is_written_last(monkeypatch, store):
     assert written == ["m/a", "m/z", "m/model.json"]
 
 
+@pytest.mark.long
 def test_a_server_that_ends_in_mid_write_leaves_no_part_of_a_file(s3, tmp_path, monkeypatch):
     """A proxy in front of the server cuts each connection after some bytes of the content."""
     endpoint = os.environ["AWS_ENDPOINT_URL"]

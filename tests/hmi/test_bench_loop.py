@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import fake_bench
@@ -91,7 +91,6 @@ def test_the_command_of_a_row_acts_from_its_sample_to_the_next(make_bench, write
     np.testing.assert_allclose(np.diff(displacement), STEP_S * 100.0 * lifting[:-1], atol=2e-7)
 
 
-@settings(max_examples=30)
 @given(st.lists(st.tuples(*[st.floats(allow_nan=True, allow_infinity=True)] * 2), min_size=1, max_size=20))
 def test_whatever_a_program_asks_for_is_sent_within_limits_and_to_one_valve_only(asked):
     plant = Plant()

@@ -5,7 +5,7 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid.hmi import history as module
@@ -32,7 +32,6 @@ def test_a_short_window_is_every_sample():
     np.testing.assert_array_equal(history.decimated(1.0, 2.0, 1000), rows[100:201])
 
 
-@settings(max_examples=50)
 @given(st.integers(1, 3000), st.integers(2, 300))
 def test_a_long_window_keeps_lowest_and_highest_in_at_most_so_many_rows(count, points):
     history, rows = filled(count)

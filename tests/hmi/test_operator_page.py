@@ -17,6 +17,8 @@ from fake_bench import LIMITS_FILE
 from hitchid.adaptation import Changes, Event, read_events
 from hitchid.model import save
 
+pytestmark = pytest.mark.long
+
 HOLD = "time_s,lifting_command,lowering_command\n0,0.4,0\n30,0.4,0\n"
 SIZES = ((390, 844), (1280, 800), (1920, 1080))
 LONGEST_S = 100  # s for the start of the adaptation on a machine with other tests beside it

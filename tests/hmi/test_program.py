@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from fake_bench import DEAD_ZONES, GAINS, LIMITS, STEP_S, STROKE, Plant
@@ -33,7 +33,6 @@ def carried_out(program, plant, *, measured=None, longest=200_000):
     raise AssertionError("the program does not end")
 
 
-@settings(max_examples=30)
 @given(st.floats(10.0, 240.0), st.floats(10.0, 240.0), st.floats(0.0, 0.3))
 def test_a_move_comes_to_rest_at_its_target(start, target, lag_s):
     plant = Plant(start, lag_s=lag_s)
@@ -55,7 +54,6 @@ def test_a_move_of_a_plant_that_coasts_as_expected_ends_within_a_millimetre(targ
 
 
 @given(st.floats(0.0, STROKE), st.floats(0.0, STROKE))
-@settings(max_examples=30)
 def test_a_move_drives_one_valve_within_its_limit_and_settles_with_both_closed(start, target):
     steps, _, _ = carried_out(move(start, target, LIMITS, STEP_S), Plant(start))
     commands = np.array([step.commands for step in steps])

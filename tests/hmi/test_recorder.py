@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from fake_bench import STEP_S, Plant
@@ -38,7 +38,6 @@ def lines_of(path):
     return header, lines
 
 
-@settings(max_examples=30)
 @given(
     st.integers(0, 10**6),
     st.lists(st.integers(0, 7), max_size=40),

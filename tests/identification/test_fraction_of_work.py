@@ -35,11 +35,12 @@ def test_the_fraction_rises_in_small_steps_without_training(campaign, quick_sett
     updates = recorded(campaign, **{**quick_settings, "training": None})
     check(updates)
     stages = {update.stage for update in updates}
-    assert updates[0].stage == "tests and dead zones"
+    assert updates[0].stage == "finding dead zones in the tests"
     for task in ("refining parameters", "intervals of the parameters", "speed map"):
         assert f"lifting: {task}" in stages
 
 
+@pytest.mark.long
 def test_the_fraction_rises_in_small_steps_with_training_and_a_choice_of_structure(campaign, quick_settings):
     automatic = AutoStructure(ModelSpec(structure_named("integrator-first-order")))
     structure = {**quick_settings["structure"], "lifting": automatic}

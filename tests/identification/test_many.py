@@ -21,8 +21,10 @@ def campaigns(tmp_path_factory):
     ]
 
 
-def test_each_model_is_the_one_its_campaign_alone_gives(campaigns, quick_settings, tmp_path):
-    settings = {**quick_settings, "rivals": False}
+@pytest.mark.parametrize("trained", [False, pytest.param(True, marks=pytest.mark.long)])
+def test_each_model_is_the_one_its_campaign_alone_gives(campaigns, quick_settings, tmp_path, trained):
+    training = quick_settings["training"] if trained else None
+    settings = {**quick_settings, "training": training, "rivals": False}
     together = identify_many(campaigns, **settings)
     for number, (campaign, found) in enumerate(zip(campaigns, together, strict=True)):
         assert not isinstance(found, HitchError)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -288,7 +288,6 @@ def test_only_a_slope_sets_tests_apart_and_only_where_tests_are_four_more_than_p
     assert not Objective.of(batch, ModelSpec(INTEGRATOR, stroke_gain_quadratic=True)).per_test_gain
 
 
-@settings(deadline=None, max_examples=50)
 @given(seed=st.integers(0, 2**16), size=st.floats(-2.0, 3.0), other=st.floats(-5.0, 5.0))
 def test_misses_apart_are_those_of_the_best_factor_of_each_test(seed, size, other):
     rng = np.random.default_rng(seed)

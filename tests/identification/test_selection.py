@@ -188,6 +188,7 @@ def loaded(make_record, *, tests=12):
     return Batch.of(records, LIFTING, dead_zone=0.0, sign=1, covariates=names)
 
 
+@pytest.mark.long
 def test_covariates_are_kept_where_they_change_something_and_what_they_change_is_found(make_record):
     batch = loaded(make_record)
     auto = AutoStructure(PLAIN, batch.covariate_names)

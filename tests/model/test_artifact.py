@@ -137,9 +137,7 @@ def refused(folder, place, name, data):
         load(place)
 
 
-sampled = settings(
-    deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+sampled = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -166,7 +164,7 @@ def test_every_cut_is_noticed(folder, tmp_path, name, where):
     refused(folder, tmp_path / "cut", name, data[: int(where * len(data))])
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", sorted({*FILES} - {"rivals.json"}))
 def test_a_missing_file_is_named(folder, tmp_path, name):
     shutil.copytree(folder, tmp_path / "model")
     (tmp_path / "model" / name).unlink()

@@ -391,7 +391,7 @@ BOUNDED = {
 
 
 @pytest.mark.parametrize("structure", BOUNDED)
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 2**16))
 @example(seed=100)
 def test_no_end_stop_is_passed(structure, seed):
@@ -477,7 +477,6 @@ places = st.one_of(
 
 
 @by_name
-@settings(deadline=None, max_examples=25)
 @given(given_=st.lists(st.tuples(numbers, numbers, places), min_size=1, max_size=60))
 def test_the_answer_is_a_number_whatever_comes(model, given_):
     commands = np.array([each[:2] for each in given_])

@@ -50,7 +50,7 @@ pieces = st.lists(
 )
 INTEGRATORS = hitch()
 SMOOTH = {False: hitch("integrator-first-order"), True: hitch("integrator-first-order", compensated=True)}
-reuse = settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+reuse = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def assert_exact(make_record, lifting, lowering):

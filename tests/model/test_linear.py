@@ -97,12 +97,14 @@ def errors(tmp_path_factory):
     return json.loads(done.stdout)
 
 
+@pytest.mark.long
 def test_a_step_of_60_s_agrees_with_the_simulation(errors):
     linear = {key: error for key, error in errors.items() if not key.startswith("curved")}
     assert len(linear) == 2 * 2 * 2 * len(STRUCTURES)
     assert {key: error for key, error in linear.items() if not error <= 1e-6} == {}
 
 
+@pytest.mark.long
 def test_a_small_step_about_an_operating_point_agrees_to_the_order_of_its_size(errors):
     curved = {key: np.array(error) for key, error in errors.items() if key.startswith("curved")}
     assert len(curved) == 2

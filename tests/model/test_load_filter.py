@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid._support.precision import double_precision
@@ -121,7 +121,6 @@ def test_a_jump_is_followed_at_once_and_says_nothing_of_the_load():
     assert float(after.error[-1]) - 20.0 == pytest.approx(float(undisturbed.error[-1]), abs=three_errors)
 
 
-@settings(max_examples=25, deadline=None)
 @given(
     st.tuples(
         st.floats(1e-6, 1.0),

@@ -5,7 +5,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, reject, settings
+from hypothesis import given, reject
 from hypothesis import strategies as st
 
 import handmade
@@ -154,7 +154,6 @@ def test_a_lowering_band_has_its_smaller_end_first():
     assert np.all((found.band.lower < found.speed) & (found.speed < found.band.upper))
 
 
-@settings(deadline=None, max_examples=25)
 @given(
     opening=st.floats(-0.5, 0.6),
     exponent=st.floats(1 / 3, 3.0),

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from handmade import envelope
@@ -20,7 +20,6 @@ def trusted(lowest, highest, values):
     return np.asarray(SignalRange(jnp.asarray(lowest), jnp.asarray(highest)).trust(jnp.asarray(values)))
 
 
-@settings(deadline=None)
 @given(ends=ends, share=st.floats(0.0, 1.0))
 def test_trust_is_one_within_and_falls_to_zero_over_a_tenth_of_the_range(ends, share):
     lowest, width = ends
@@ -35,7 +34,6 @@ def test_trust_is_one_within_and_falls_to_zero_over_a_tenth_of_the_range(ends, s
         assert trusted(lowest, highest, far) == 0.0
 
 
-@settings(deadline=None)
 @given(ends=ends)
 def test_trust_never_grows_on_the_way_out(ends):
     lowest, width = ends

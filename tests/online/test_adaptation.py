@@ -113,6 +113,7 @@ def test_a_running_model_follows_and_stays_as_it_is_where_learning_ends(replayed
     assert adaptation.finish() == ()
 
 
+@pytest.mark.long
 def test_adapted_parameters_stay_after_a_restart_and_after_an_early_sample(monkeypatch):
     """The state of a model with covariates has the parameters at its load."""
     model, load = SCHEDULED, {"pressure": 150.0}

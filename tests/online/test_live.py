@@ -7,7 +7,7 @@ import jax
 import jax.monitoring
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import handmade
@@ -114,7 +114,6 @@ def test_samples_that_come_late_are_made_up_for(missed):
     assert expected.flags == ()
 
 
-@settings(max_examples=20, deadline=None)
 @given(st.lists(st.floats(-1.4, 1.4), min_size=2, max_size=30), st.sampled_from([0.004, STEP_S, 0.017]))
 def test_every_sample_of_a_jittered_clock_counts_for_the_time_it_is_nearest_to(jitter, every_s):
     live, stamps = Live(MODEL), np.sort(every_s * (np.arange(len(jitter)) + np.array(jitter)))
@@ -296,7 +295,6 @@ lines = st.one_of(
 )
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.lists(lines, max_size=5), st.sampled_from([None, START]))
 def test_whatever_comes_it_answers_with_numbers_or_nothing(heard, initial):
     live = Live(MODEL, initial=initial)

@@ -24,7 +24,7 @@ WANTED = {
     "displacement_mm": np.arange(30) * 1.5,
 }
 
-with_folder = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+with_folder = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
@@ -171,7 +171,7 @@ cells = st.text(
 )
 
 
-@settings(parent=with_folder, max_examples=400)
+@with_folder
 @given(cell=cells | st.text(st.characters(codec="utf-8", exclude_characters=',"\n\r'), max_size=8))
 def test_a_cell_is_the_number_it_says_or_is_refused_by_line_and_column(log, cell):
     path = log(with_cell(cell))

@@ -111,7 +111,7 @@ def test_vectors_are_read_however_they_were_saved(log, way):
         assert (channel.unit, channel.clock_s) == (None, None)
 
 
-@settings(deadline=None, max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(samples=arrays(np.float64, st.integers(2, 30), elements=finite))
 def test_any_finite_number_reads_back_bit_for_bit(tmp_path, samples):
     savemat(tmp_path / "log.mat", {"x": samples})

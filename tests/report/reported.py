@@ -184,6 +184,7 @@ def trace_json(*parameters, iterations=20, candidates=3, phase2=True, notices=("
         "phase1": {
             "uncertainty": {"parameters": [asdict(each) for each in found]},
             "fitness": [None, *(1.5 * falling[1:]).tolist()],
+            "searched": [each.name for each in found],
             "values": [[(each.value or 0.1) * factor for each in found] for factor in falling],
         },
         "phase2": {

@@ -20,6 +20,8 @@ from hitchid.report import (
 )
 from hitchid.report.document import Findings
 
+pytestmark = pytest.mark.long
+
 WIDTHS, SCHEMES = (1280, 390), ("light", "dark")
 # What WCAG 2.2 asks of text.
 TEXT_CONTRAST = 4.5

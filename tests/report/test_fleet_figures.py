@@ -6,8 +6,6 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 import fleet_rows
 from hitchid.fleet import compare_fleet
@@ -154,12 +152,3 @@ def test_of_very_many_machines_like_the_others_some_are_drawn_and_all_that_stand
 def test_a_direction_without_errors_of_both_parameters_has_no_scatter():
     rows = [fleet_rows.row("a", {"lifting": fleet_rows.figures("lifting", dead_zone_error=0.0)})]
     assert figures.directions_with_both(compare_fleet(rows)) == []
-
-
-@given(st.text(max_size=100))
-def test_a_short_name_has_begin_and_end_of_the_name(name):
-    short = figures.short_name(name)
-    assert len(short) <= figures.NAME_LENGTH
-    assert short == name or (
-        name.startswith(short.partition("…")[0]) and name.endswith(short[-figures.NAME_LENGTH // 2 :])
-    )

@@ -8,6 +8,8 @@ from browser import chromium
 from hitchid.report import Document, render
 from hitchid.report.document import Signals
 
+pytestmark = pytest.mark.long
+
 DIGITS = 1e-5  # of a value shown with six significant digits in single precision: half of the last
 DURATION_S = validated.predictions().time_s[0][-1]
 

@@ -65,12 +65,6 @@ def words(tmp_path):
     return said
 
 
-def titles(content):
-    """Return the headings of a PDF's outline, as far as they are written in Latin letters."""
-    found = re.findall(rb"/Title\(((?:[^\\()]|\\.)*)\)", content)
-    return [re.sub(rb"\\([\\()])", rb"\1", each).decode("latin-1") for each in found]
-
-
 def test_a_pdf_is_one(content):
     assert content.startswith(b"%PDF-")
     assert content.rstrip().endswith(b"%%EOF")
@@ -88,12 +82,6 @@ def test_a_pdf_can_be_read_aloud(content):
     assert b"/StructTreeRoot" in content
     assert b"/Lang(en)" in content
     assert content.count(b"/Alt(Error over the horizon.)") == 2
-
-
-def test_every_heading_is_in_the_outline(content):
-    assert sorted(titles(content)) == sorted(
-        ["A report", "Verdict", "To keep in mind", "Mixed cycles", "Details", "Finer", "Logs"]
-    )
 
 
 def test_every_block_is_in_the_pdf(content, words):
@@ -135,14 +123,6 @@ def test_whatever_a_name_holds_a_pdf_is_made(made, said):
 def test_a_table_without_a_row_is_still_a_table(made, words):
     empty = Table("lifting: nothing", ("model", "RMSE / mm"), ())
     assert "Lifting: nothing" in words(made(reported.document(table=empty)))
-
-
-def test_a_long_table_goes_on_with_its_header_on_the_next_page(made, words):
-    rows = tuple((f"test-{number:03d}", f"{number}.5") for number in range(120))
-    long = Table("lifting: all", ("test of the series", "RMSE / mm"), rows)
-    said = words(made(Document("A", "B", (), (), (ReportSection("All", (long,)),))))
-    assert all(name in said for name, _ in rows)
-    assert said.count("test of the series") >= 2
 
 
 def test_a_pdf_that_cannot_be_made_is_refused_early(monkeypatch):

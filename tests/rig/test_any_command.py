@@ -12,7 +12,7 @@ RIGS = [load_rig(name) for name in parameter_sets()]
 SAMPLES = 1001
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(suppress_health_check=[HealthCheck.too_slow])
 @example(rig=RIGS[0], seed=0, start=0.25, load=3466.0, temperature=0.0)
 @given(
     rig=st.sampled_from(RIGS),

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid.data.record import LIFTING
@@ -170,7 +170,6 @@ def test_counting_takes_samples_away_and_never_adds_any(records):
     np.testing.assert_array_equal(everything.displacement, batch.displacement)
 
 
-@settings(deadline=None, max_examples=30)
 @given(rest=st.integers(0, 120), size=st.integers(121, 200), level=st.floats(-100, 100))
 def test_the_start_is_the_mean_of_the_samples_before_motion_at_most_fifty(rest, size, level):
     displacement = level + np.random.default_rng(size).normal(size=size)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid.data.record import LIFTING, Record
@@ -81,7 +81,6 @@ def test_with_little_friction_it_is_the_linear_lag():
     np.testing.assert_allclose(found, expected, rtol=0, atol=SAMPLES * travel)
 
 
-@settings(deadline=None, max_examples=40)
 @given(
     travel=st.floats(1e-4, 5.0),
     at_rest=st.floats(-1.0, 1.0),

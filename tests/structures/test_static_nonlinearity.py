@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid.data.record import LIFTING, Record
@@ -88,7 +88,6 @@ def played(spool, width):
     return np.array(found)
 
 
-@settings(deadline=None, max_examples=30)
 @given(seed=st.integers(0, 2**16), hysteresis=st.floats(0.0, 1.0), dead_zone=st.floats(0.05, 1.0))
 def test_hysteresis_is_the_play_operator(seed, hysteresis, dead_zone):
     command = np.random.default_rng(seed).uniform(-2.0, 2.0, 120)
@@ -131,7 +130,6 @@ def test_the_spool_answers_a_step_as_a_first_order_lag_in_the_mean_over_each_int
     np.testing.assert_allclose(beyond, np.maximum(expected - DEAD_ZONE, 0.0), rtol=0, atol=1e-13)
 
 
-@settings(deadline=None, max_examples=40)
 @given(
     seed=st.integers(0, 2**16),
     hysteresis=st.floats(0.0, 1.0),
@@ -172,7 +170,6 @@ def test_flow_is_the_power_of_what_lies_beyond_the_opening_until_it_saturates():
     np.testing.assert_allclose(flow(shape(opening=0.2, saturation=0.3), command), 2.0 * limited, rtol=8 * EPS)
 
 
-@settings(deadline=None, max_examples=50)
 @given(
     opening=st.floats(-0.6, 0.9),
     exponent=st.floats(0.34, 3.0),
@@ -225,7 +222,6 @@ def gain(curves, place):
 slopes = st.floats(-2.0, 2.0)
 
 
-@settings(deadline=None, max_examples=50)
 @given(slope=slopes, curve=slopes, place=st.floats(-QUADRATIC_RANGE, QUADRATIC_RANGE))
 def test_within_reach_the_gain_is_its_formula(slope, curve, place):
     found = gain(shape(position_slope=slope, position_curve=curve), [place])
@@ -234,7 +230,6 @@ def test_within_reach_the_gain_is_its_formula(slope, curve, place):
     np.testing.assert_allclose(found, expected, rtol=50 * EPS)
 
 
-@settings(deadline=None, max_examples=50)
 @given(slope=slopes, curve=slopes, beyond=st.floats(0.0, 1e4), side=st.sampled_from([-1.0, 1.0]))
 def test_beyond_reach_the_curve_is_held_and_the_slope_goes_on_to_a_factor_of_two(slope, curve, beyond, side):
     curves = shape(position_slope=slope, position_curve=curve)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid.data.record import LIFTING, Record
@@ -130,7 +130,6 @@ def test_beyond_the_range_the_dynamics_stay():
         )
 
 
-@settings(deadline=None, max_examples=25)
 @given(slope=st.floats(-1.0, 1.0), omega=st.floats(0.5, 200.0), start=st.floats(-100.0, 200.0))
 def test_travel_and_gradients_are_finite(slope, omega, start):
     batch = batch_of([steps()])

@@ -17,6 +17,7 @@ from hitchid.studies.sun2025 import Plan, reproduce
 from hitchid.studies.sun2025.mechanistic import mechanistic
 
 
+@pytest.mark.long
 def test_a_small_study_writes_every_table_and_figure(tmp_path):
     plan = Plan(
         tests=5,

@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -224,7 +224,6 @@ def test_beyond_the_last_horizon_the_error_grows_in_proportion_to_the_horizon():
     assert np.all(np.diff(widths) > 0)
 
 
-@settings(max_examples=50)
 @given(
     levels=st.tuples(st.floats(0.5, 0.95), st.floats(0.5, 0.95)).map(sorted),
     horizon=st.integers(1, 10**6),

@@ -5,7 +5,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
@@ -108,7 +108,6 @@ def test_errors_that_are_white_have_the_variance_they_were_made_with(found):
 shapes = st.tuples(st.integers(12, 60), st.integers(1, 4), st.integers(0, 99), st.integers(1, 20))
 
 
-@settings(max_examples=50)
 @given(shape=shapes)
 def test_repeating_a_jacobian_under_white_errors_narrows_as_one_more_of_the_same(shape):
     samples, dimensions, seed, tests = shape

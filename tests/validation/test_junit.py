@@ -2,7 +2,7 @@
 
 from xml.etree import ElementTree
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid.report.renderers.junit import junit_xml
@@ -63,7 +63,6 @@ def test_what_xml_does_not_admit_is_left_out_and_all_else_stays():
     assert case[0].get("message") == f"{admitted}, required {admitted}"
 
 
-@settings(deadline=None)
 @given(checks=checks, name=anything)
 def test_any_text_gives_a_file_that_reads_back(checks, name):
     root = parsed(*checks, name=name)

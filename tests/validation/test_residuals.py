@@ -5,7 +5,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.signal import lfilter
@@ -284,7 +284,6 @@ def edgeless(result):
     return replace(result, by_position=replace(result.by_position, bins=bins))
 
 
-@settings(max_examples=60, deadline=None)
 @given(made_up_tests(), st.integers(-1000, 1000).map(float))
 def test_where_the_displacement_is_zero_matters_to_the_edges_alone(made_up, shift):
     errors, commands, displacements, speeds = made_up
@@ -295,7 +294,6 @@ def test_where_the_displacement_is_zero_matters_to_the_edges_alone(made_up, shif
         assert (other.lower, other.upper) == (one.lower + shift, one.upper + shift)
 
 
-@settings(max_examples=60, deadline=None)
 @given(made_up_tests(), st.floats(1e-6, 1e6))
 def test_the_unit_of_the_errors_matters_to_their_size_alone(made_up, factor):
     errors, *others = made_up
@@ -318,7 +316,6 @@ def test_the_unit_of_the_errors_matters_to_their_size_alone(made_up, factor):
             assert large.mean == pytest.approx(factor * small.mean, rel=1e-9, abs=1e-9 * largest)
 
 
-@settings(max_examples=60, deadline=None)
 @given(made_up_tests())
 def test_the_order_of_tests_does_not_matter_and_bins_hold_every_error(made_up):
     here = residual_tests(*made_up, step_s=STEP_S)

@@ -25,7 +25,7 @@ from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent
 
 FORMAT_VARIABLE = "HITCHID_PROGRESS"
 SHORTEST_S = 0.1  # s between lines of JSON of one stage; chosen: faster than anyone reads
-KNOWN_FRACTION = 0.05  # of the work, from which on the time left is estimated; chosen
+KNOWN_FRACTION, KNOWN_S = 0.05, 5.0  # of the work, and s, from which on the time left is estimated; chosen
 BLOCKS = "▁▂▃▄▅▆▇█"
 WIDTH, NAME = 36, 28  # characters of a sparkline and of its name, for 80 columns
 
@@ -188,10 +188,10 @@ class _Lines:
         self._last[step.task] = step
 
     def _time_left(self, fraction: float) -> str:
-        if not KNOWN_FRACTION < fraction < 1:
+        elapsed_s = time.monotonic() - self._begin_s
+        if elapsed_s < KNOWN_S or not KNOWN_FRACTION < fraction < 1:
             return ""
-        left_s = (time.monotonic() - self._begin_s) * (1 - fraction) / fraction
-        return f", about {max(left_s, 1):.0f} s left"
+        return f", about {max(elapsed_s * (1 - fraction) / fraction, 1):.0f} s left"
 
     def end(self, *tasks: str) -> None:
         """Write the last figures of the given tasks, by default of all."""

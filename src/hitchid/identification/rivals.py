@@ -14,6 +14,7 @@ from jaxtyping import Array, Key, PRNGKeyArray
 
 from hitchid._support import checks
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, split_progress
+from hitchid._support.short_repr import short_repr
 from hitchid.baselines.baseline import Baseline, FitContext
 from hitchid.baselines.fitted import FittedBaseline
 from hitchid.baselines.registry import all_baselines
@@ -34,6 +35,7 @@ from hitchid.structures import PhysicalModel
 STEPS_PER_EPOCH = 10
 
 
+@short_repr
 @dataclass(frozen=True)
 class RivalsConfig:
     """Which rivals are fitted beside a model.
