@@ -386,8 +386,8 @@ def test_a_full_disk_is_told_and_the_run_goes_on_once_there_is_room(mounted):
     assert "run.json" in kept
     assert len(kept) > 2
     assert out[:2] == ["exit 2", "model.unfinished"]
-    files = [MANIFEST_FILE, "model.json", "trace.json", "weights.safetensors"]
-    assert out[2:] == ["exit 0", "model", *files]
+    files = ["model.json", "rivals.json", "rivals.safetensors", "trace.json", "weights.safetensors"]
+    assert out[2:] == ["exit 0", "model", MANIFEST_FILE, *files]
 
 
 @pytest.mark.long

@@ -5,9 +5,11 @@ from dataclasses import asdict
 
 import numpy as np
 
+from hitchid._support.precision import double_precision
 from hitchid.identification.channel_trace import ChannelTrace
 
 
+@double_precision
 def describe_channel(trace: ChannelTrace) -> dict:
     """Return how one direction was identified: dead zone, parameters, search, losses, notices.
 
