@@ -1,9 +1,9 @@
 """Where the time of an identification goes: `python -m benchmarks.where_time_goes SET…`.
 
 Each set of `HITCHID_DATA` is identified twice in processes of their own, first with nothing compiled before,
-then with the programs of the first in the cache. Of both it prints the time until the physics model is there and
-until the whole model is, processor time, the largest memory, how long tracing, lowering and compiling took, and
-of the programs that took longest number and seconds. Times of compiling are sums over threads.
+then with the programs of the first in the cache. Of both it prints the time until the physics model is there
+and until the whole model is, processor time, the largest memory, how long tracing, lowering and compiling
+took, and of the programs that took longest number and seconds. Times of compiling are sums over threads.
 """
 
 import argparse
@@ -107,11 +107,8 @@ def _show(name: str, label: str, wall_s: float, measured: dict) -> None:
     longest = sorted(measured["programs"].items(), key=lambda entry: -entry[1][1])[:SHOWN]
     for entry, (number, taken) in [*measured["steps"].items(), *longest]:
         lines.append(f"| {entry} | {number} | {taken:.1f} |")
-    lines += [
-        "",
-        "| stage | " + " | ".join(measured["stages"]) + " |",
-        "| --- |" + " ---: |" * len(measured["stages"]),
-    ]
+    directions = measured["stages"]
+    lines += ["", f"| stage, s | {' | '.join(directions)} |", "| --- |" + " ---: |" * len(directions)]
     names = dict.fromkeys(stage for stages in directions.values() for stage in stages)
     for stage in names:
         cells = " | ".join(f"{stages.get(stage, 0.0):.1f}" for stages in directions.values())

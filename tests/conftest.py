@@ -144,7 +144,7 @@ def quick_settings():
 
     return {
         "structure": PAPER_SPECS,
-        "rivals": None,
+        "rivals": False,
         "search": MultiStart(evaluations=60),
         "training": CompensatorConfig(
             hidden=6,

@@ -385,8 +385,8 @@ BAD_MODELS = {
     "description of something else": (lambda f: (f / "model.json").write_text("{}") and None, ["model.json"]),
     "trace edited": (edited("trace.json", "{", "{ "), ["trace.json", "edited"]),
     "a newer schema": (
-        edited("model.json", '"schema": 12', '"schema": 13'),
-        ["model.json", "schema 13", "expected 3 to 12"],
+        edited("model.json", '"schema": 13', '"schema": 14'),
+        ["model.json", "schema 14", "expected 13"],
     ),
 }
 

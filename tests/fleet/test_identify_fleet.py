@@ -228,9 +228,9 @@ def test_a_model_without_its_row_is_not_taken_for_done(logs, tmp_path, monkeypat
     assert [row.machine for row in read_rows(own.results)] == [machine.name]
 
 
-@pytest.mark.parametrize("limit", [0, 4])
+@pytest.mark.parametrize("limit", [0, 3])
 def test_a_store_that_ends_in_mid_write_shows_no_model(limit, logs, tmp_path, monkeypatch):
-    """A folder without `model.json` is no model; it has five files, and that is written last."""
+    """A folder without `model.json` is no model; it has four files, and that is written last."""
     own = job(logs, tmp_path)
     written, write = [], Store.write
 

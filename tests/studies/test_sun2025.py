@@ -24,7 +24,7 @@ def test_a_small_study_writes_every_table_and_figure(tmp_path):
         cycles=1,
         structure=PAPER_SPECS,  # which form hitchid chooses plays no part here
         search=MultiStart(evaluations=60),
-        rivals=None,
+        rivals=False,
         # Which compensator ships and what stands beside it play no part: the layout is the same.
         training=CompensatorConfig(
             hidden=6,

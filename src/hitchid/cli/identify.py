@@ -49,12 +49,16 @@ def identify(
 
     unfinished = out.absolute().with_name(f"{out.absolute().name}.unfinished")
     force = force or (resume and unfinished.is_dir())
-    check_folder(out, result_kind="model.json", force=force)
-    check_inputs(out, [*logs, config, signals])
     from hitchid._support.checkpoints import has_failed, has_results, mark_failed
 
+    # A stopped run has left its physics model in `out`: how to go on is said before that it exists.
+    force = force or has_failed(unfinished)
+    if not resume and not force:
+        _check_no_stopped_run(unfinished)
+    check_folder(out, result_kind="model.json", force=force)
+    check_inputs(out, [*logs, config, signals])
     if unfinished.exists() and not resume:
-        _make_way(unfinished, force=force or has_failed(unfinished))
+        _make_way(unfinished)
     prepare_jax()
     from hitchid.audit import audit
     from hitchid.identification import Identification, RivalsConfig, Settings, read_settings, train_rivals
@@ -139,16 +143,22 @@ def _remove_run(unfinished: Path) -> None:
             remove_run(unfinished)
 
 
-def _make_way(unfinished: Path, *, force: bool) -> None:
+def _check_no_stopped_run(unfinished: Path) -> None:
+    """Raise OutputError where a stopped run may be continued."""
+    from hitchid._support.checkpoints import is_empty
+
+    if unfinished.exists() and not (unfinished.is_dir() and is_empty(unfinished)):
+        raise OutputError(
+            f"{unfinished}: holds a stopped run; use --resume to continue it, or --force to start again"
+        )
+
+
+def _make_way(unfinished: Path) -> None:
     """Remove a stopped run before a new one."""
     from hitchid._support.checkpoints import is_empty, is_run, remove_run
 
     if unfinished.is_dir() and is_empty(unfinished):
         return
-    if not force:
-        raise OutputError(
-            f"{unfinished}: holds a stopped run; use --resume to continue it, or --force to start again"
-        )
     if not is_run(unfinished):
         raise OutputError(f"{unfinished}: is not an unfinished run, so --force does not replace it")
     remove_run(unfinished)

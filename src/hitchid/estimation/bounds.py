@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -27,7 +28,7 @@ class Bounds(eqx.Module):
         """Return the bounds of parameters from their limits, lower and upper."""
         lower, upper = np.array(limits).T
         linear = np.array([parameter.linear for parameter in parameters])
-        return cls(jnp.asarray(lower), jnp.asarray(upper), jnp.asarray(linear))
+        return cls(*jax.device_put((lower, upper, linear)))
 
     def values(self, position: Float[Array, "*p d"]) -> Float[Array, "*p d"]:
         """Return the parameters at a position."""

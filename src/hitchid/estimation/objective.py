@@ -73,11 +73,11 @@ class Objective(eqx.Module):
 
     def values(self, position: np.ndarray) -> np.ndarray:
         """Return the parameters at a position, or at each of several, shape [D] or [P, D]."""
-        return np.asarray(_values(self.bounds, jnp.asarray(position)))
+        return np.asarray(_values(self.bounds, jax.device_put(position)))
 
     def slopes(self, position: np.ndarray) -> np.ndarray:
         """Return the parameters' derivatives by their positions."""
-        return np.asarray(self.bounds.slopes(jnp.asarray(position)))
+        return np.asarray(_slopes(self.bounds, jax.device_put(position)))
 
     def position(self, values: np.ndarray) -> np.ndarray:
         """Return the position of values; the inverse of `values`."""
@@ -278,6 +278,11 @@ def _equations_by_test(
 @eqx.filter_jit
 def _values(bounds: Bounds, position: Float[Array, "*p d"]) -> Float[Array, "*p d"]:
     return bounds.values(position)
+
+
+@eqx.filter_jit
+def _slopes(bounds: Bounds, position: Float[Array, " d"]) -> Float[Array, " d"]:
+    return bounds.slopes(position)
 
 
 def scales_of(batch: Batch, covariates: Sequence[str] = ()) -> Scales:

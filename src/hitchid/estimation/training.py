@@ -124,7 +124,7 @@ def with_weights(network: Network, arrays: Arrays) -> Network:
     """Return a network with its arrays replaced by those of `weights_of` one like it."""
     weights, static = eqx.partition(network, eqx.is_array)
     leaves, structure = jax.tree.flatten(weights)
-    new_leaves = [jnp.asarray(arrays[f"weights {number}"]) for number in range(len(leaves))]
+    new_leaves = [jax.device_put(arrays[f"weights {number}"]) for number in range(len(leaves))]
     return eqx.combine(jax.tree.unflatten(structure, new_leaves), static)
 
 
@@ -137,7 +137,12 @@ def every_nth(data: Data, limit: int) -> Data:
 def pad_to_batches(data: Data, batch: int) -> Data:
     """Return sequences and, to fill the last batch, such of zeros: data of like size share a program."""
     missing = -jax.tree.leaves(data)[0].shape[0] % batch
-    return jax.tree.map(lambda array: jnp.pad(array, ((0, missing), *((0, 0),) * (array.ndim - 1))), data)
+
+    def padded(array: Array) -> Array:
+        # By NumPy, as no shape must be compiled for that.
+        return jax.device_put(np.pad(np.asarray(array), ((0, missing), *((0, 0),) * (array.ndim - 1))))
+
+    return jax.tree.map(padded, data)
 
 
 def _train(

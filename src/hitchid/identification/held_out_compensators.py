@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from jaxtyping import Array, PRNGKeyArray, PyTree
 
@@ -21,6 +22,8 @@ from hitchid.identification.phase2 import (
 )
 from hitchid.networks.lstm import Lstm
 from hitchid.structures import Batch
+
+Tree = TypeVar("Tree")
 
 
 class CompensatorTraining(NamedTuple):
@@ -64,10 +67,8 @@ def with_compensators(
         )
         compensators.append(compensator)
         sequences.append(pad_to_batches(every_nth(fold_sequences, MAX_STRETCHES), settings.adam.batch))
-    stacked_networks = jax.tree.map(
-        lambda *leaves: jnp.stack(leaves), *(compensator.network for compensator in compensators)
-    )
-    stacked_sequences = jax.tree.map(lambda *leaves: jnp.stack(leaves), *sequences)
+    stacked_networks = _stacked([compensator.network for compensator in compensators])
+    stacked_sequences = _stacked(sequences)
     keys = jax.random.split(key, len(held_out))
     trained = _train(stacked_networks, stacked_sequences, settings, jnp.asarray(epochs), keys)
     return tuple(
@@ -82,8 +83,13 @@ def with_compensators(
     )
 
 
+# By NumPy, as no shape must be compiled for that.
+def _stacked(trees: Sequence[Tree]) -> Tree:
+    return jax.tree.map(lambda *leaves: jax.device_put(np.stack(leaves)), *trees)
+
+
 def _item(stacked: Lstm, number: int) -> Lstm:
-    return jax.tree.map(lambda leaf: leaf[number], stacked)
+    return jax.tree.map(lambda leaf: jax.device_put(np.asarray(leaf)[number]), stacked)
 
 
 @eqx.filter_jit

@@ -229,7 +229,7 @@ def _sequences(
     has_target = target_mask.any(axis=2)
 
     def select(array: np.ndarray) -> Array:
-        return jnp.asarray(array[has_target])
+        return jax.device_put(array[has_target])
 
     return Sequences(
         features=select(scaled[:, np.maximum(reading, 0)]),

@@ -113,6 +113,7 @@ class TrainingSection(Strict):
 class RivalsSection(Strict):
     """`[rivals]`."""
 
+    quick: bool = True
     train: bool = False
     searches: bool = True
 
@@ -131,13 +132,14 @@ class IdentifyFile(Strict):
     def rivals_config(self) -> RivalsConfig:
         """Return which rivals are fitted.
 
-        `[training] baselines` and `[search] compare` say the same where they are given: true trains the
-        rivals or compares the searches, false leaves out the quick rivals, too, or the searches.
+        `[training] baselines` and `[search] compare` are older keys for the same: true trains the rivals,
+        false leaves out the quick ones, too, or the searches.
         """
         baselines, compare = self.training.baselines, self.search.compare
         trained = self.rivals.train or bool(baselines) or bool(compare)
         searches = self.rivals.searches if compare is None else compare
-        return RivalsConfig(baselines is not False, trained, SearchComparison() if searches else None)
+        quick = self.rivals.quick and baselines is not False
+        return RivalsConfig(quick, trained, SearchComparison() if searches else None)
 
     def settings(self) -> Settings:
         """Return the arguments of `identify` that the file gives.

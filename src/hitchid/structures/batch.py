@@ -104,7 +104,7 @@ class Batch(eqx.Module):
             padded = np.zeros((len(rows), width), dtype=dtype)
             for row, samples in zip(padded, rows, strict=True):
                 row[: len(samples)] = samples
-            return jnp.asarray(padded)
+            return jax.device_put(padded)
 
         return cls(
             command=stack(commands, np.float64),
@@ -223,7 +223,7 @@ class Batch(eqx.Module):
         rows = np.asarray(indices, dtype=np.int64)
         tests, static_fields = eqx.partition(self, eqx.is_array)
         return eqx.combine(
-            jax.tree.map(lambda array: jnp.asarray(np.asarray(array)[rows]), tests), static_fields
+            jax.tree.map(lambda array: jax.device_put(np.asarray(array)[rows]), tests), static_fields
         )
 
 
