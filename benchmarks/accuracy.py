@@ -45,7 +45,7 @@ def rows(name: str) -> list[tuple[str, ...]]:
     chosen = SETS[name]
     campaign = chosen.campaign()
     options = {} if chosen.forms is None else {"structure": chosen.forms}
-    result = hitchid.validate(hitchid.identify(campaign, **options).model, campaign)
+    result = hitchid.validate(hitchid.identify(campaign, rivals=True, **options).model, campaign)
     lines = [row(f"{name}, {part}", accuracy, result.unit) for part, accuracy in result.accuracy.items()]
     if chosen.skipped:
         (record,) = campaign.held_out("lifting")

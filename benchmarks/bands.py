@@ -18,7 +18,6 @@ import numpy as np
 import hitchid
 from hitchid.baselines.persistence import delayed
 from hitchid.experiments.virtual_campaign import write_campaign
-from hitchid.identification import CompensatorConfig
 from hitchid.model import Bands, Channel
 from hitchid.structures import Batch
 from hitchid.validation.bands import COVERAGE, free_run_band
@@ -43,7 +42,7 @@ def main() -> None:
             known, unseen = Path(folder) / "known", Path(folder) / "unseen"
             write_campaign(known, rig, tests={"ramp": 3, "prbs": TESTS}, seed=arguments.seed)
             write_campaign(unseen, rig, tests={"prbs": UNSEEN[rig]}, seed=7)
-            model = hitchid.identify(hitchid.read(known), training=CompensatorConfig()).model
+            model = hitchid.identify(hitchid.read(known)).model
             tests = hitchid.read(unseen)
         for direction, channel in model.channels.items():
             bands = model.uncertainty[direction].bands

@@ -21,7 +21,6 @@ import numpy as np
 import hitchid
 from hitchid.export.c99 import REPLAY, VerifiedSource, verified_source
 from hitchid.export.verification import compare, replay
-from hitchid.identification import CompensatorConfig
 
 from .gauntlet.measured import DATA
 
@@ -102,8 +101,7 @@ def main() -> int:
 
 def rig_a() -> hitchid.Hitch:
     """Return the default model of rig-a."""
-    training = CompensatorConfig()
-    return hitchid.identify(hitchid.read(DATA / "rig-a"), training=training).model
+    return hitchid.identify(hitchid.read(DATA / "rig-a")).model
 
 
 def say(line: str) -> None:

@@ -85,7 +85,7 @@ def main() -> None:
     say("| data | direction | sysidentpy | NARX of the package |\n| --- | --- | ---: | ---: |\n")
     for name in sys.argv[1:] or DEFAULT_SETS:
         campaign = SETS[name].campaign()
-        model = hitchid.identify(campaign).model
+        model = hitchid.identify(campaign, rivals=True).model
         for direction, accuracy in hitchid.validate(model, campaign).accuracy.items():
             if direction not in model.channels:
                 continue

@@ -108,7 +108,7 @@ def _triangular_factor(tests: Iterable[UnpaddedTest], max_order: int) -> Float[n
     factor = np.zeros((0, 0))
     for test in tests:
         rows = np.column_stack([_lagged(test, max_order), test.travel])[test.loss_mask]
-        factor = np.linalg.qr(np.vstack([factor, rows]) if factor.size else rows, mode="r")
+        factor = np.asarray(np.linalg.qr(np.vstack([factor, rows]) if factor.size else rows, mode="r"))
     return factor
 
 

@@ -120,8 +120,11 @@ class Objective(eqx.Module):
 
     def rmse_by_test(self, position: np.ndarray) -> np.ndarray:
         """Return the root mean square error of each test, shape [T]."""
+        return self.rmse_of(self.equations_by_test(position).costs)
+
+    def rmse_of(self, costs: Float[np.ndarray, " t"]) -> np.ndarray:
+        """Return the root mean square error of each test from its squared residuals, shape [T]."""
         counts = np.asarray(self.batch.loss_mask).sum(axis=1)
-        costs = self.equations_by_test(position).costs
         return np.sqrt(costs * np.count_nonzero(counts) / counts.sum())
 
     def equations_by_test(self, position: np.ndarray) -> "TestEquations":

@@ -165,13 +165,18 @@ class Job:
             "out": self.out,
         }
 
-    def take_line(self, line: str) -> None:
-        """Take a line of standard error: progress as JSON, or a message."""
+    def take_line(self, line: str) -> bool:
+        """Take a line of standard error, progress as JSON or text; return whether it tells of a result."""
         with contextlib.suppress(ValueError, TypeError, KeyError, OverflowError):
-            self._take_progress(json.loads(line)["progress"])
-            return
+            update = json.loads(line)["progress"]
+            self._take_progress(update)
+            message = str(update.get("message", ""))
+            if message:
+                self.lines.append(message)
+            return bool(message)
         if line.strip():
             self.lines.append(line.rstrip())
+        return False
 
     def _take_progress(self, update: Mapping[str, object]) -> None:
         self.fraction = max(self.fraction, min(1.0, float(update["fraction"])))  # pyright: ignore[reportArgumentType]
@@ -303,7 +308,9 @@ class Jobs:
         published_s = 0.0
         while not job.process.stderr.at_eof():
             with contextlib.suppress(ValueError):  # longer than LINE_BYTES: left out
-                job.take_line((await job.process.stderr.readline()).decode(errors="replace"))
+                line = (await job.process.stderr.readline()).decode(errors="replace")
+                if job.take_line(line):  # such as the physics model, before its corrections
+                    self._on_written()
             if time.monotonic() - published_s >= SHORTEST_S:
                 self._publish(job.describe())
                 published_s = time.monotonic()

@@ -156,16 +156,20 @@ class _ProfilePoint:
         best_errors: Sequence[np.ndarray],
     ) -> "_ProfilePoint":
         """Test a position; `objectives`: with the dead zone, and with it one standard error larger."""
-        scores, *shifted_scores = [Scores.of(objective, position) for objective in objectives]
+        equations = [objective.equations_by_test(position) for objective in objectives]
+        scores, *shifted_scores = [
+            Scores.of(objective, position, known)
+            for objective, known in zip(objectives, equations, strict=True)
+        ]
         tangent = scores.profile_tangent(number)
         slopes = scores.slopes @ tangent
         shift = sum((float((other.slopes @ tangent).sum() - slopes.sum()) for other in shifted_scores), 0.0)
         degrees = slopes.size - position.size
-        errors, *shifted_errors = [objective.rmse_by_test(position) for objective in objectives]
-        excess = 0.0
-        if slopes.sum() ** 2 > MIN_RELATIVE_DECREASE * (tangent @ scores.curvature @ tangent) * objectives[
-            0
-        ].cost(position):
+        errors, *shifted_errors = [
+            objective.rmse_of(known.costs) for objective, known in zip(objectives, equations, strict=True)
+        ]
+        excess, cost = 0.0, float(equations[0].costs.sum())
+        if slopes.sum() ** 2 > MIN_RELATIVE_DECREASE * (tangent @ scores.curvature @ tangent) * cost:
             excess = _relative_excess(
                 abs(float(slopes.mean())), slopes, shift / slopes.size, degrees, dead_zone
             )

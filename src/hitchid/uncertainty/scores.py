@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from hitchid.estimation import Objective
+from hitchid.estimation import Objective, TestEquations
 
 MIN_SURPLUS_TESTS = 4  # tests beyond the number of parameters; with fewer, tests are cut in segments; chosen
 MIN_EIGENVALUE = 0.05  # smallest eigenvalue of I − leverage, which limits the correction; chosen
@@ -25,20 +25,30 @@ class Scores(NamedTuple):
     curvatures: Float[np.ndarray, "t d d"]
 
     @classmethod
-    def of(cls, objective: Objective, position: np.ndarray) -> "Scores":
-        """Return the scores of an objective at a position in the unit cube."""
+    def of(
+        cls, objective: Objective, position: np.ndarray, equations: TestEquations | None = None
+    ) -> "Scores":
+        """Return the scores of an objective at a position in the unit cube.
+
+        Args:
+            objective: tests and form.
+            position: shape [D].
+            equations: those of the tests there, where they are known.
+        """
         tests = int(np.count_nonzero(np.asarray(objective.batch.loss_mask).any(axis=1)))
         if tests >= position.size + MIN_SURPLUS_TESTS:
-            return cls.by_test(objective, position)
+            return cls.by_test(objective, position, equations)
         stretches_per_test = -(-(position.size + MIN_SURPLUS_TESTS) // tests)
-        equations = objective.equations_by_segment(position, stretches_per_test)
-        return cls(equations.gradients, equations.curvatures)
+        by_segment = objective.equations_by_segment(position, stretches_per_test)
+        return cls(by_segment.gradients, by_segment.curvatures)
 
     @classmethod
-    def by_test(cls, objective: Objective, position: np.ndarray) -> "Scores":
-        """Return the scores with one row per test, however few tests have samples that count."""
+    def by_test(
+        cls, objective: Objective, position: np.ndarray, equations: TestEquations | None = None
+    ) -> "Scores":
+        """Return the scores with one row per test, however few tests have samples that count; see `of`."""
         has_data = np.asarray(objective.batch.loss_mask).any(axis=1)
-        equations = objective.equations_by_test(position).take(np.flatnonzero(has_data))
+        equations = (equations or objective.equations_by_test(position)).take(np.flatnonzero(has_data))
         return cls(equations.gradients, equations.curvatures)
 
     def select_parameters(self, free: np.ndarray) -> "Scores":
