@@ -43,7 +43,14 @@ def test_every_older_schema_that_is_read_has_a_folder_its_version_wrote():
     assert sorted(MIGRATIONS) == list(range(min(MIGRATIONS), SCHEMA))
 
 
-@pytest.mark.parametrize("schema", MIGRATIONS)
+# One of each kind: without and with networks, and the latest.
+@pytest.mark.parametrize(
+    "schema",
+    [
+        pytest.param(schema, marks=() if schema in (3, 5, max(MIGRATIONS)) else pytest.mark.long)
+        for schema in MIGRATIONS
+    ],
+)
 def test_an_older_model_predicts_what_it_did(schema):
     folder, rows = written(schema)
     model = load(folder)
