@@ -32,18 +32,18 @@ class Mutation(NamedTuple):
         file: below src/hitchid.
         old: text that is replaced.
         new: text that replaces it.
-        tests: files or folders below tests that should find it; none: the folder of the room.
+        nearest: the file below tests that is the first to look; the folder of the room follows.
     """
 
     file: str
     old: str
     new: str
-    tests: tuple[str, ...] = ()
+    nearest: str
 
     @property
     def paths(self) -> list[str]:
         """Return the tests that should find it."""
-        return [f"tests/{name}" for name in self.tests or (self.file.partition("/")[0],)]
+        return [f"tests/{self.nearest}", f"tests/{self.file.partition('/')[0]}"]
 
 
 MUTATIONS = (
@@ -51,61 +51,149 @@ MUTATIONS = (
         "_support/metrics.py",
         "leave_one_out = np.sqrt((sums.sum() - sums) / (counts.sum() - counts))",
         "leave_one_out = np.sqrt((sums.sum() - sums) / counts.sum())",
-    ),
-    Mutation("_support/storage.py", "if path != folder / MANIFEST_FILE", "if True"),
-    Mutation("data/units.py", "source.factor / wanted.factor", "wanted.factor / source.factor"),
-    Mutation("data/segmentation.py", "(command > on) | (command <= off)", "(command > on) | (command <= on)"),
-    Mutation(
-        "readers/formats/can/bits.py", "* signal.scale + signal.offset", "* signal.scale - signal.offset"
+        "_support/test_metrics.py",
     ),
     Mutation(
-        "readers/formats/can/bits.py", "all_ones - 1 if signal.length < 8", "all_ones if signal.length < 8"
+        "_support/storage.py", "if path != folder / MANIFEST_FILE", "if True", "_support/test_storage.py"
     ),
-    Mutation("readers/content.py", "MAX_UNPACK_RATIO * path.stat()", "1e9 * path.stat()", ("test_fuzz.py",)),
-    Mutation("audit/spikes.py", "JUMP_FACTOR * neighbour_steps.max(axis=1)", "neighbour_steps.min(axis=1)"),
-    Mutation("audit/polarity.py", "< -CLEAR_OF_TYPICAL * typical", "> CLEAR_OF_TYPICAL * typical"),
-    Mutation("rig/cylinder.py", "self.dead_volume + self.hose_volume", "self.dead_volume"),
-    Mutation("inspection/motion.py", "command[: command.size - lag]", "command[lag:]"),
     Mutation(
-        "networks/lstm.py", "gates = gates + cast(Array, cell.bias)", "gates = gates - cast(Array, cell.bias)"
+        "data/units.py",
+        "source.factor / wanted.factor",
+        "wanted.factor / source.factor",
+        "data/test_units.py",
     ),
-    Mutation("structures/static_nonlinearity.py", "0.5 * hysteresis * dead_zone", "hysteresis * dead_zone"),
     Mutation(
-        "structures/discretisation.py", "(position / STROKE_RANGE + 1)", "(position / STROKE_RANGE - 1)"
+        "data/segmentation.py",
+        "(command > on) | (command <= off)",
+        "(command > on) | (command <= on)",
+        "data/test_segmentation.py",
     ),
-    Mutation("estimation/least_squares.py", "damping * scale)", "damping / scale)"),
     Mutation(
-        "estimation/correlations.py", "(test_indices.size * counts[test_indices, None])", "test_indices.size"
+        "readers/formats/can/bits.py",
+        "* signal.scale + signal.offset",
+        "* signal.scale - signal.offset",
+        "readers/test_can.py",
+    ),
+    Mutation(
+        "readers/formats/can/bits.py",
+        "all_ones - 1 if signal.length < 8",
+        "all_ones if signal.length < 8",
+        "readers/test_can.py",
+    ),
+    Mutation("readers/content.py", "MAX_UNPACK_RATIO * path.stat()", "1e9 * path.stat()", "test_fuzz.py"),
+    Mutation(
+        "audit/spikes.py",
+        "JUMP_FACTOR * neighbour_steps.max(axis=1)",
+        "neighbour_steps.min(axis=1)",
+        "audit/test_audit_sensor.py",
+    ),
+    Mutation(
+        "audit/polarity.py",
+        "< -CLEAR_OF_TYPICAL * typical",
+        "> CLEAR_OF_TYPICAL * typical",
+        "audit/test_audit_campaign.py",
+    ),
+    Mutation(
+        "rig/cylinder.py", "self.dead_volume + self.hose_volume", "self.dead_volume", "rig/test_motion.py"
+    ),
+    Mutation(
+        "inspection/motion.py", "command[: command.size - lag]", "command[lag:]", "inspection/test_propose.py"
+    ),
+    Mutation(
+        "networks/lstm.py",
+        "gates = gates + cast(Array, cell.bias)",
+        "gates = gates - cast(Array, cell.bias)",
+        "networks/test_lstm.py",
+    ),
+    Mutation(
+        "structures/static_nonlinearity.py",
+        "0.5 * hysteresis * dead_zone",
+        "hysteresis * dead_zone",
+        "structures/test_static_nonlinearity.py",
+    ),
+    Mutation(
+        "structures/discretisation.py",
+        "(position / STROKE_RANGE + 1)",
+        "(position / STROKE_RANGE - 1)",
+        "structures/test_stroke_dynamics.py",
+    ),
+    Mutation(
+        "estimation/least_squares.py", "damping * scale)", "damping / scale)", "estimation/test_search.py"
+    ),
+    Mutation(
+        "estimation/correlations.py",
+        "(test_indices.size * counts[test_indices, None])",
+        "test_indices.size",
+        "estimation/test_correlations.py",
     ),
     Mutation(
         "baselines/arx.py",
         "sliding_window_view(padded, order)[:, ::-1]",
         "sliding_window_view(padded, order)",
+        "baselines/test_autoregression.py",
     ),
-    Mutation("model/limits.py", "self.upper - tolerance", "self.upper + tolerance"),
+    Mutation("model/limits.py", "self.upper - tolerance", "self.upper + tolerance", "model/test_limits.py"),
     Mutation(
         "model/load_filter.py",
         "self.noise**2 + self.drift**2 * step_s",
         "self.noise**2 - self.drift**2 * step_s",
+        "model/test_load_filter.py",
     ),
-    Mutation("uncertainty/conformal.py", "level / (1.0 - level)", "level"),
-    Mutation("uncertainty/verdict.py", "upper < 1 / nyquist_rad_s", "upper > 1 / nyquist_rad_s"),
-    Mutation("identification/dead_zone.py", "values.std(ddof=1)", "values.std(ddof=0)"),
-    Mutation("identification/hold_drift.py", "edges[::2] + settling_samples", "edges[::2]"),
-    Mutation("validation/acceptance.py", "return minimum <= value <= maximum", "return minimum <= value"),
-    Mutation("control/margins.py", "* np.diff(phase, axis=-1)) + 180.0", "* np.diff(phase, axis=-1))"),
-    Mutation("online/live.py", "if samples > MAX_GAP_SAMPLES", "if samples >= MAX_GAP_SAMPLES"),
-    Mutation("fleet/multiple_testing.py", "np.arange(1, tested.size + 1)", "np.arange(tested.size, 0, -1)"),
+    Mutation("uncertainty/conformal.py", "level / (1.0 - level)", "level", "uncertainty/test_bands.py"),
+    Mutation(
+        "uncertainty/verdict.py",
+        "upper < 1 / nyquist_rad_s",
+        "upper > 1 / nyquist_rad_s",
+        "uncertainty/test_verdict.py",
+    ),
+    Mutation(
+        "identification/dead_zone.py",
+        "values.std(ddof=1)",
+        "values.std(ddof=0)",
+        "identification/test_dead_zone.py",
+    ),
+    Mutation(
+        "identification/hold_drift.py",
+        "edges[::2] + settling_samples",
+        "edges[::2]",
+        "identification/test_hold_drift.py",
+    ),
+    Mutation(
+        "validation/acceptance.py",
+        "return minimum <= value <= maximum",
+        "return minimum <= value",
+        "validation/test_acceptance.py",
+    ),
+    Mutation(
+        "control/margins.py",
+        "* np.diff(phase, axis=-1)) + 180.0",
+        "* np.diff(phase, axis=-1))",
+        "control/test_margins.py",
+    ),
+    Mutation(
+        "online/live.py",
+        "if samples > MAX_GAP_SAMPLES",
+        "if samples >= MAX_GAP_SAMPLES",
+        "online/test_live.py",
+    ),
+    Mutation(
+        "fleet/multiple_testing.py",
+        "np.arange(1, tested.size + 1)",
+        "np.arange(tested.size, 0, -1)",
+        "fleet/test_multiple_testing.py",
+    ),
     Mutation(
         "export/plant_constants.py",
         "(fraction * step_s, (1 - fraction) * step_s)",
         "((1 - fraction) * step_s, fraction * step_s)",
+        "export/test_parity.py",
     ),
-    Mutation("report/svg.py", 'aria-label="{escape(alt)}"', 'aria-label="{alt}"'),
+    Mutation("report/svg.py", 'aria-label="{escape(alt)}"', 'aria-label="{alt}"', "report/test_svg.py"),
     Mutation(
         "hmi/safety.py",
         "self.is_attended and now_s - self.page_s >",
         "self.is_attended and self.page_s - now_s >",
+        "hmi/test_safety.py",
     ),
 )
 

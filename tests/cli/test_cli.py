@@ -715,7 +715,9 @@ def test_a_workbook_without_its_package_is_refused_before_any_work(
 LIMITS = 'unit = "mm"\n[lifting]\ntests = 3\nfree_run = {{ rmse = {rmse} }}\n'
 
 
-@pytest.mark.parametrize(("rmse", "code", "verdict"), [("1e6", 0, "pass"), ("1e-6", 1, "fail")])
+@pytest.mark.parametrize(
+    ("rmse", "code", "verdict"), [pytest.param("1e6", 0, "pass", marks=pytest.mark.long), ("1e-6", 1, "fail")]
+)
 def test_limits_decide_on_the_exit_code(bench_folder, model, tmp_path, rmse, code, verdict):
     (tmp_path / "limits.toml").write_text(LIMITS.format(rmse=rmse))
     out, junit = tmp_path / "out", tmp_path / "results.xml"
@@ -780,6 +782,7 @@ def test_two_models_are_compared_on_tests_neither_has_seen(tests_with_a_cycle, m
     assert set(json.loads(printed.out)["better"]) == {"lifting", "lowering", "cycles"}
 
 
+@pytest.mark.long
 def test_any_number_of_models_is_compared_before_the_logs(tests_with_a_cycle, model, tmp_path):
     others = [tmp_path / "other", tmp_path / "third"]
     for place, structure in zip(others, ("integrator-first-order", "first-order-lag"), strict=True):
@@ -873,6 +876,7 @@ def shape(runs):
     return {run: set(figures) for run, figures in runs.items()}
 
 
+@pytest.mark.long
 def test_a_log_whose_name_is_no_unicode_is_validated_or_refused(bench_folder, model, tmp_path):
     folder = shutil.copytree(bench_folder, tmp_path / "logs")
     (folder / "lifting-03.csv").rename(folder / "lifting-\udcff.csv")

@@ -32,7 +32,7 @@ def run(*arguments) -> tuple[int, str]:
     [
         ("c", "code"),
         pytest.param("fmu2", "a.fmu", marks=pytest.mark.long),
-        ("fmu3", "b.fmu"),
+        pytest.param("fmu3", "b.fmu", marks=pytest.mark.long),
         ("onnx", "nets"),
     ],
 )

@@ -60,7 +60,10 @@ def batch_for(make_record, clock, form):
 
 @pytest.mark.parametrize(
     ("form", "clock"),
-    CASES,
+    [
+        pytest.param(form, clock, marks=() if form.valve_curve or clock == 1e-3 else pytest.mark.long)
+        for form, clock in CASES
+    ],
     ids=lambda each: (
         getattr(each, "structure", each)
         and str(

@@ -68,6 +68,7 @@ def test_without_the_package_there_are_the_own_baselines():
     assert list(all_baselines()) == ["arx", "oe", "narx", "lstm"]
 
 
+@pytest.mark.long
 def test_it_is_fitted_saved_loaded_and_validated(saved, tmp_path, monkeypatch):
     install(tmp_path, monkeypatch)
     assert list(all_baselines())[-1] == NAME

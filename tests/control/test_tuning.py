@@ -25,9 +25,7 @@ structure = "integrator-first-order"
 evaluations = 200
 compare = false
 [training]
-epochs = 2
-free_run = false
-baselines = false
+compensator = false
 """
 
 

@@ -45,7 +45,7 @@ def rosenbrock(positions):
 
 @pytest.mark.parametrize(
     ("objective", "dimensions", "factor"),
-    [(rotated_ellipsoid, 3, 100.0), (rosenbrock, 2, 20.0)],
+    [pytest.param(rotated_ellipsoid, 3, 100.0, marks=pytest.mark.long), (rosenbrock, 2, 20.0)],
 )
 def test_whales_leave_random_search_far_behind_wherever_the_optimum_lies(objective, dimensions, factor):
     # The volume in which a quadratic misfit is below f goes with f^(D/2): to come as low, random search

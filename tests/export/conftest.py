@@ -17,7 +17,7 @@ def compiler():
 
 
 # Between them they have every part; the others have one each.
-TOGETHER = ("everything", "dry friction", "covariates along the stroke", "first order, fractional dead time")
+TOGETHER = ("everything", "covariates along the stroke", "first order, fractional dead time")
 
 
 @pytest.fixture(

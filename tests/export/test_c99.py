@@ -52,6 +52,7 @@ def test_a_precision_that_is_not_known_is_refused(everything, tmp_path) -> None:
         to_c(everything, tmp_path / "out", precision="half")
 
 
+@pytest.mark.long
 def test_an_export_replaces_only_an_export(everything, compiler, tmp_path) -> None:
     to_c(everything, tmp_path / "out", compensators=False)
     with pytest.raises(OutputError, match="exists already"):
@@ -123,6 +124,7 @@ class Unknown(LinearStructure):
 Unknown.__module__ = "another.package"
 
 
+@pytest.mark.long
 def test_a_linear_structure_of_another_package_is_exported(compiler, tmp_path) -> None:
     model = handmade.hitch(modes=("lifting",), filtered=True)
     other = PhysicalModel(Unknown(), jnp.array([30.0]), jnp.asarray(0.02))

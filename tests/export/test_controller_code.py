@@ -15,7 +15,9 @@ from hitchid.export.controller_code import controller_files, controller_run
 WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wdouble-promotion -Werror -fsyntax-only"
 
 
-@pytest.fixture(scope="module", params=[False, True], ids=["linear", "shaped"])
+@pytest.fixture(
+    scope="module", params=[pytest.param(False, marks=pytest.mark.long), True], ids=["linear", "shaped"]
+)
 def tuned(request, tmp_path_factory):
     """Return a saved model, and a controller for it."""
     from controllers import made_up_controller, made_up_model

@@ -82,6 +82,7 @@ def expected(everything, commands):
     return np.array(displacements)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("version", VERSIONS)
 def test_a_validator_finds_no_problem(units, version: str) -> None:
     assert validate_fmu(str(units[version])) == []

@@ -43,6 +43,7 @@ def test_the_state_is_outside(everything, tmp_path) -> None:
     assert onward[0] != first[0]
 
 
+@pytest.mark.long
 def test_two_exports_are_the_same_bytes(everything, tmp_path) -> None:
     for name in ("a", "b"):
         to_onnx(everything, tmp_path / name)

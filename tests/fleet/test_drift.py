@@ -134,6 +134,7 @@ def test_fleet_validate_ranks_the_machine_that_changed(identified, tmp_path):
     assert again.rows == result.rows
 
 
+@pytest.mark.long
 def test_tests_that_were_identified_from_are_left_out(identified, tmp_path, monkeypatch):
     logs, results, row, _ = identified
     monkeypatch.setattr("hitchid.fleet.task.prepare_worker", lambda: None)

@@ -115,6 +115,7 @@ def test_enough_tests_need_no_notice():
     assert band_notices(19) == []
 
 
+@pytest.mark.long
 def test_predictions_of_tests_to_come_are_covered_to_the_level_at_every_horizon(make_record):
     rng, horizons = np.random.default_rng(8), tuple(range(1, 101))
     shares = []

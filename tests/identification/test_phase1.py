@@ -115,6 +115,7 @@ def chi_bounds(count):
     return np.sqrt(stats.chi2.ppf([0.0005, 0.9995], count - 1) / (count - 1))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("tests", "start"), [(2, 80.0), (12, None)], ids=lambda each: str(each))
 def test_standard_errors_under_white_noise_are_the_scatter_over_repetitions(batch_of, tests, start):
     # Where the start is not known, it is the mean of six noisy samples: one more error in every residual of
@@ -323,7 +324,9 @@ def test_a_test_that_is_only_faster_misses_by_what_ties_its_factor():
     assert squares < 0.02 * float(np.sum((travel - measured) ** 2))
 
 
-@pytest.mark.parametrize(("structure", "slope"), [(SECOND_ORDER, False), (INTEGRATOR, True)])
+@pytest.mark.parametrize(
+    ("structure", "slope"), [pytest.param(SECOND_ORDER, False, marks=pytest.mark.long), (INTEGRATOR, True)]
+)
 def test_tests_that_fill_up_a_batch_change_nothing(batch_of, structure, slope):
     """Five tests are laid beside three that count nowhere, so that five to eight compile once."""
     batch = batch_of(plants(second_order(21.0, 18.0, 0.3), tests=5), noise=0.1, rng=np.random.default_rng(3))

@@ -122,7 +122,15 @@ MODELS = {
         drift=-0.3,
     ),
 }
-by_name = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS.keys())
+# Between them they have every part; the others have some of each.
+TOGETHER = ("second order", "everything")
+by_name = pytest.mark.parametrize(
+    "model",
+    [
+        pytest.param(model, marks=() if name in TOGETHER else pytest.mark.long, id=name)
+        for name, model in MODELS.items()
+    ],
+)
 
 
 @by_name
@@ -163,7 +171,14 @@ def test_a_test_of_one_direction_moves_as_its_fast_form_says(record_of, mode, op
     assert own.sign * (found[-1] - 100.0) > 5.0
 
 
-@pytest.mark.parametrize("name", ["lag, free run compensated", "load filter", "everything"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("lag, free run compensated", marks=pytest.mark.long),
+        pytest.param("load filter", marks=pytest.mark.long),
+        "everything",
+    ],
+)
 def test_predictions_by_single_steps_are_those_of_the_whole_record(record_of, name):
     model, horizon = MODELS[name], 4
     rng = np.random.default_rng(2)

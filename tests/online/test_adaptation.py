@@ -138,6 +138,7 @@ def test_adapted_parameters_stay_after_a_restart_and_after_an_early_sample(monke
     adaptation.finish()
 
 
+@pytest.mark.long
 def test_an_output_does_not_wait_for_what_its_sample_teaches(monkeypatch):
     adaptation, fed = OnlineAdaptation(MODEL), []
     event = Event(PROMOTED, 0.0, 0, LIFTING, "the gain", Changes())
