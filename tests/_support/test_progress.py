@@ -1,6 +1,9 @@
 """Long work tells where it stands: as part of a whole, and what a terminal makes of it."""
 
+import json
 import math
+import sys
+from types import ModuleType
 
 import pytest
 from hypothesis import given
@@ -13,7 +16,7 @@ from hitchid._support.progress import (
     split_progress,
     subtask_progress,
 )
-from hitchid._support.progress_display import BLOCKS, WIDTH, Curves, progress, sparkline
+from hitchid._support.progress_display import BLOCKS, WIDTH, Curves, progress, shown, sparkline
 
 fractions = st.floats(0, 1)
 
@@ -142,6 +145,52 @@ def test_elsewhere_a_stage_is_a_line_with_where_it_ended_below(capsys):
         "      iteration 2: RMSE / mm 1",
         " 50%  training",
     ]
+
+
+def test_what_has_been_reached_is_a_line_of_its_own(capsys, monkeypatch):
+    update = ProgressUpdate("physics model", 0.5, message="physics model saved")
+    with progress() as report:
+        report(update)
+    assert capsys.readouterr().err == "physics model saved\n"
+    monkeypatch.setenv("HITCHID_PROGRESS", "json")
+    with progress() as report:
+        report(ProgressUpdate("physics model", 0.5))
+        report(update)
+    first, second = (json.loads(line)["progress"] for line in capsys.readouterr().err.splitlines())
+    assert (first["message"], second["message"]) == ("", "physics model saved")
+
+
+class Display:
+    """A cell's output as a notebook shows it."""
+
+    def __init__(self):
+        self.contents = []
+
+    def update(self, content):
+        self.contents.append(content)
+
+
+def test_in_a_notebook_a_bar_is_replaced_and_messages_stay(monkeypatch):
+    handle, module = Display(), ModuleType("IPython.display")
+    module.HTML, module.display = str, lambda content, display_id: handle
+    monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))
+    monkeypatch.setitem(sys.modules, "IPython", ModuleType("IPython"))
+    monkeypatch.setitem(sys.modules, "IPython.display", module)
+    with shown(True) as report:
+        report(ProgressUpdate("a < b", 0.2, message="saved <b>"))
+        report(ProgressUpdate("end", 1.0))
+    assert "a &lt; b" in handle.contents[0]
+    assert 'value="1.000"' in handle.contents[-1]
+    assert all("saved &lt;b&gt;" in content for content in handle.contents)
+
+
+def test_from_a_script_nothing_is_shown_and_a_function_gets_every_update(capsys):
+    updates = []
+    for asked in (True, False, None, updates.append):
+        with shown(asked) as report:
+            report(ProgressUpdate("search", 0.1))
+    assert capsys.readouterr() == ("", "")
+    assert updates == [ProgressUpdate("search", 0.1)]
 
 
 def test_quietly_nothing_is_said(capsys):

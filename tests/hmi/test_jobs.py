@@ -261,3 +261,11 @@ def test_quiet_tells_nothing(capsys, monkeypatch):
     with progress(quiet=True) as report:
         report(ProgressUpdate("search", 0.5))
     assert capsys.readouterr().err == ""
+
+
+def test_what_has_been_reached_is_a_line_and_tells_of_a_result():
+    job = new_job()
+    assert not job.take_line(line(0.1, 1, rmse=1.0))
+    update = ProgressUpdate("physics model", 0.5, figures={}, message="physics model saved: RMSE 0.3 mm")
+    assert job.take_line(json.dumps({"progress": update._asdict()}))
+    assert job.describe()["lines"] == ["physics model saved: RMSE 0.3 mm"]

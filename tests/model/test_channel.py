@@ -169,3 +169,16 @@ def test_a_standing_command_moves_nothing_whatever_was_learnt(make_record, mode)
     assert abs(found[109] - 100.0) > 5.0
     assert np.ptp(found[310:]) < 1e-8
     assert jnp.isfinite(found).all()
+
+
+@pytest.mark.parametrize("compensated", [None, True])
+def test_predictions_from_every_third_sample_are_those_from_every_sample(record, compensated):
+    model = channel(LIFTING, "integrator", compensated=compensated, filtered=True)
+    batch, horizons = model.batch([record]), (1, 2, 5)
+    every = np.asarray(model.predict(batch, horizons))
+    some = np.asarray(model.predict(batch, horizons, 3))
+    samples = np.arange(every.shape[2])
+    for horizon, all_rows, rows in zip(horizons, every, some, strict=True):
+        from_origins = (np.maximum(samples - horizon, 0) % 3 == 0) | (samples == 0)
+        np.testing.assert_allclose(rows[:, from_origins], all_rows[:, from_origins], rtol=1e-12)
+        assert np.all(np.isnan(rows[:, ~from_origins]))

@@ -31,15 +31,15 @@ WIDTH, NAME = 36, 28  # characters of a sparkline and of its name, for 80 column
 
 
 @contextmanager
-def shown(progress: ProgressCallback | bool) -> Iterator[ProgressCallback]:
+def shown(progress: ProgressCallback | bool | None) -> Iterator[ProgressCallback]:
     """Yield the callback of a public function: its own, or for True a bar where somebody watches.
 
     Raises:
-        InputError: it is neither True or False nor can be called.
+        InputError: it is neither True, False or None nor can be called.
     """
-    if not (isinstance(progress, bool) or callable(progress)):
+    if not (progress is None or isinstance(progress, bool) or callable(progress)):
         raise checks.input_error("progress", "True, False or a function of a progress update", progress)
-    if not isinstance(progress, bool):
+    if progress is not None and not isinstance(progress, bool):
         yield progress
     elif progress and "ipykernel" in sys.modules:
         yield _NotebookBar().report

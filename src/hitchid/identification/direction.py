@@ -179,6 +179,7 @@ def _finished(
     if config.quick_rivals:
         with timed(seconds, "rivals"):
             rivals = quick_rivals(data, initial_data, config, trace.candidates, parts["rivals"])
+        notices += rivals.notices
     parts["bands"](ProgressUpdate("bands around predictions", 0.0))
     with timed(seconds, "bands"):
         bands = attempt("bands around predictions", calibrate, notices)

@@ -49,7 +49,7 @@ def identify(
     drift: bool = False,
     rivals: RivalsConfig | bool | None = False,
     seed: int = 0,
-    progress: ProgressCallback | bool = True,
+    progress: ProgressCallback | bool | None = True,
     checkpoints: str | Path | None = None,
     on_physics: PhysicsCallback | None = None,
 ) -> Identification:
@@ -114,7 +114,7 @@ def identify_many(
     drift: bool = False,
     rivals: RivalsConfig | bool | None = False,
     seed: int = 0,
-    progress: ProgressCallback | bool = True,
+    progress: ProgressCallback | bool | None = True,
 ) -> tuple[Identification | HitchError, ...]:
     """Identify a model from each of many campaigns, such as those of a fleet, in one process.
 

@@ -25,7 +25,7 @@ def train_rivals(
     campaign: Campaign,
     *,
     searches: SearchComparison | None = SEARCHES,
-    progress: ProgressCallback | bool = True,
+    progress: ProgressCallback | bool | None = True,
     checkpoints: str | Path | None = None,
 ) -> Hitch:
     """Return a model with all its rivals, trained on the tests that the model was identified from.
