@@ -7,6 +7,7 @@ import subprocess
 import sys
 import zipfile
 from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
 from importlib.metadata import version
 from io import StringIO
 from typing import NamedTuple
@@ -918,3 +919,32 @@ def test_a_run_that_fails_has_exit_code_1_and_leaves_nothing(bench_folder, tmp_p
     assert result.code == 1
     assert result.err.splitlines()[-1] == "hitchid: the piston does not move"
     assert not out.exists()
+
+
+def test_rivals_that_are_there_are_not_trained_again_without_force(bench_folder, tmp_path):
+    trained = handmade.hitch("integrator", compensated=True, baselines=True)
+    rivals = {name: replace(each, trained=True) for name, each in trained.rivals.items()}
+    save(replace(trained, rivals=rivals), tmp_path / "model")
+    shown = hitchid("rivals", tmp_path / "model", bench_folder)
+    assert shown.code == 2
+    assert "has trained rivals already" in shown.err
+
+
+def test_rivals_of_other_logs_are_refused(model, bench_folder):
+    shown = hitchid("rivals", model, bench_folder)
+    assert shown.code == 2
+    assert "expected the logs and the split that it was identified from" in shown.err
+
+
+@pytest.mark.long
+def test_rivals_are_trained_beside_a_model_and_compared(bench_folder, tmp_path):
+    (tmp_path / "quick.toml").write_text(QUICK)
+    logs, model = sorted(bench_folder.glob("lifting-*")), tmp_path / "model"
+    hitchid("identify", *logs, "--out", model, "--config", tmp_path / "quick.toml", "--quiet")
+    before = (model / "model.json").read_bytes()
+    shown = hitchid("rivals", model, *logs)
+    assert shown.code == 0, shown.err
+    assert (model / "model.json").read_bytes() == before
+    hitchid("validate", model, *logs, "--out", tmp_path / "results", "--quiet")
+    metrics = json.loads((tmp_path / "results" / "metrics.json").read_text())
+    assert {"arx", "oe", "lstm", "transfer_function"} <= metrics["channels"]["lifting"]["baselines"].keys()

@@ -24,6 +24,7 @@ def rivals(
     OE, NARX, a black-box LSTM, the paper's grey box and the searches of the parameters. The model itself
     stays as it is, bit for bit.
     """
+    from hitchid._support.storage import check_folder
     from hitchid.cli import terminal as display
 
     prepare_jax()
@@ -35,6 +36,8 @@ def rivals(
     hitch, trace = load(model), load_trace(model)
     if hitch.has_trained_rivals and not force:
         raise OutputError(f"{model}: has trained rivals already; --force trains them again")
+    # Before the training: a folder that was changed by hand is not replaced.
+    check_folder(model, result_kind="model.json", force=True)
     campaign = read(logs, signals=signals, strict=strict)
     display.show_left_out(campaign, quiet=quiet)
     with display.progress(quiet=quiet) as report:

@@ -170,7 +170,6 @@ def continue_fit(
     start: np.ndarray,
     plain: Fit,
     *,
-    seed: int,
     progress: ProgressCallback = silent,
     checkpoints: Checkpoints = DISABLED,
 ) -> Fit:
@@ -180,16 +179,18 @@ def continue_fit(
     starts. On 60 simulated campaigns a search of the larger form improved none.
 
     Args:
-        batch, spec, seed, progress, checkpoints: see `find_parameters`.
+        batch, spec, progress, checkpoints: see `find_parameters`.
         start: values of the form's parameters, shape [D].
         plain: fit of the plain form, whose search is kept.
     """
     objective = Objective.of(batch, spec)
-    starts = [objective.position(start), *_local_starts(spec, seed)]
-    parts = split_progress(progress, {"rough": 0.5, "least squares": 0.5})
-    position = checkpoints.cached_arrays(
-        "least squares", lambda: {"position": _refine_from_starts(objective, starts, parts)}
-    )["position"]
+    progress(ProgressUpdate("refining parameters", 0.0))
+
+    def work() -> dict[str, np.ndarray]:
+        refined = refine(objective.problem(), objective.position(start), limit=STEPS)
+        return {"position": with_calibrated_gain(objective, refined.position)}
+
+    position = checkpoints.cached_arrays("least squares", work)["position"]
     return Fit(objective, position, plain.searched, plain.search_result)
 
 

@@ -198,7 +198,6 @@ class _Choice:
             candidate.spec,
             candidate.values,
             baseline,
-            seed=self.seed,
             progress=self.parts["chosen"],
             checkpoints=self.checkpoints.child(f"chosen {candidate.name}"),
         )
