@@ -11,6 +11,7 @@ import numpy as np
 
 import hitchid
 from hitchid.data.record import COMMAND, DISPLACEMENT, IDLE, LIFTING
+from hitchid.identification import Identification
 from hitchid.structures import ModelSpec, structure_named
 
 from .bars import holds, read_bars
