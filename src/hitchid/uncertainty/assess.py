@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hitchid._support.parallel import parallel
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent, split_progress
 from hitchid.estimation import Objective
 from hitchid.model.estimates import (
@@ -69,10 +70,14 @@ def assess(
     parts = split_progress(progress, ASSESSMENT_SHARES)
     parts["standard errors"](ProgressUpdate("standard errors of the parameters", 0.0))
     influence = compute_influence(objective, position, free, dead_zone, seed=seed)
-    for number, result in enumerate(results):
-        stage, name = "intervals of the parameters", result.parameter.name.replace("_", " ")
-        parts["intervals"](ProgressUpdate(stage, number / len(results), name))
-        results[number] = _with_interval(result, objective, position, influence, dead_zone)
+
+    def with_interval(number: int) -> ParameterResult:
+        name = results[number].parameter.name.replace("_", " ")
+        parts["intervals"](ProgressUpdate("intervals of the parameters", number / len(results), name))
+        return _with_interval(results[number], objective, position, influence, dead_zone)
+
+    # In parallel, for the other direction may be done before: its core would wait.
+    results = list(parallel(with_interval, range(len(results))).values())
     profiles = [result.profile for result in results if result.profile is not None]
     results = [replace(result, interval=_with_open_ends(result, profiles)) for result in results]
     results = over_parameters_at_bound(results, objective, position)
