@@ -176,7 +176,7 @@ def continue_fit(
     """Find the parameters of a form from those that the choice of forms found, over all samples.
 
     No global search: the form grew from a plain one that was searched, through least squares from several
-    starts. On 60 simulated campaigns a search of the larger form improved none.
+    starts, and a search of the larger form changed hardly any model (docs/performance.md).
 
     Args:
         batch, spec, progress, checkpoints: see `find_parameters`.
