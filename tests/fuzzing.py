@@ -617,13 +617,23 @@ def _toml_changed(name: str) -> Callable[[np.random.Generator, Files], Files]:
     return change
 
 
-def resealed(files: Mapping[str, bytes], content: Mapping[str, Any]) -> Files:
-    """Return a model folder with another description, its digests put right."""
-    listed = {name: digest(data) for name, data in files.items() if name != "model.json"}
+DESCRIBED = {
+    "model.json": ("weights.safetensors", "trace.json"),
+    "rivals.json": ("rivals.safetensors",),
+}
+
+
+def resealed(files: Mapping[str, bytes], content: Mapping[str, Any], name: str = "model.json") -> Files:
+    """Return a model folder with another description, of the model or its rivals, its digests put right."""
+    listed = {described: digest(files[described]) for described in DESCRIBED[name]}
     described = {**content, "files": listed}
     described.pop("digest", None)
     described["digest"] = digest(canonical_json(described))
-    return {**files, "model.json": canonical_json(described)}
+    changed = {**files, name: canonical_json(described)}
+    if name == "rivals.json" or "rivals.json" not in files:
+        return changed
+    rivals = {**json.loads(files["rivals.json"]), "model": described["digest"]}
+    return resealed(changed, rivals, "rivals.json")
 
 
 def _resealed(rng: np.random.Generator, files: Files) -> Files:

@@ -325,16 +325,18 @@ def put_in(content, path, value):
         ("channels/lifting/compensator/hidden", 10**9),
         ("channels/lifting/compensator/hidden", 20_000),
         ("channels/lifting/speed_compensator/members", 10**9),
-        ("comparison/lifting/paper/compensator/hidden", 2**62),
-        ("comparison/lifting/baselines", ["oracle"]),
+        ("rivals/lifting/paper/compensator/hidden", 2**62),
+        ("rivals/lifting/baselines", ["oracle"]),
+        ("rivals", []),
         ("uncertainty", [1]),
     ],
 )
 def test_a_forged_description_is_refused_without_making_room_for_it(model, path, value):
     files = {each.name: each.read_bytes() for each in model.iterdir()}
-    content = json.loads(files["model.json"])
+    name = "rivals.json" if path.startswith("rivals") else "model.json"
+    content = json.loads(files[name])
     put_in(content, path, value)
-    fuzzing.put(model, fuzzing.resealed(files, content))
+    fuzzing.put(model, fuzzing.resealed(files, content, name))
     with pytest.raises(ModelFolderError, match="cannot be parsed"):
         load(model)
 

@@ -3,7 +3,6 @@
 import multiprocessing
 import os
 import queue
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from hitchid._support.compilation import choose_code_generator
+from hitchid.fleet.worker import bound_memory
 
 from .outcome import HUNG, TRACEBACK, Outcome
 
@@ -146,6 +146,5 @@ def _serve(link: Connection, core: set[int] | None) -> None:
         except (EOFError, OSError):
             return
         link.send(job.work(**job.arguments))
-        # A process may map only so many compiled programs into memory.
-        if "jax" in sys.modules:
-            sys.modules["jax"].clear_caches()
+        # What one run compiled serves the next; a process may map only so many programs into memory.
+        bound_memory()

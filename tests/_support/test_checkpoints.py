@@ -333,6 +333,7 @@ def assert_same_model(one, other):
         assert path.read_bytes() == (other / path.name).read_bytes(), path.name
 
 
+@pytest.mark.long
 def test_a_run_that_goes_on_ends_in_the_same_model_and_does_nothing_twice(
     whole, campaign, quick_settings, tmp_path
 ):
@@ -366,7 +367,7 @@ BEGUN_FROM = AutoStructure(ModelSpec(structure_named("integrator"), bounds={"gai
         {"training": None},
         {"dead_zones": {"lifting": 0.35}},
         {"drift": True},
-        {"rivals": False},
+        {"rivals": None},
         {"seed": 1},
     ],
     ids=lambda change: next(iter(change)),

@@ -762,6 +762,7 @@ def test_a_pdf_is_written_where_it_is_asked_for(bench_folder, model, tmp_path):
     assert (tmp_path / "out" / "report.pdf").read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.long
 def test_two_models_are_compared_on_tests_neither_has_seen(tests_with_a_cycle, model, tmp_path):
     save(handmade.hitch("integrator-first-order", baselines=True), tmp_path / "other")
     out = tmp_path / "out"

@@ -206,6 +206,7 @@ def _processes_of_session(session: int) -> list[int]:
     return found
 
 
+@pytest.mark.long
 def test_a_model_without_its_row_is_not_taken_for_done(logs, tmp_path, monkeypatch):
     """The store fails after the model was written, before the row."""
     own = job(logs, tmp_path)

@@ -91,7 +91,7 @@ def test_one_that_is_wrong_from_the_first_sample_is_not_used_and_this_is_said(te
 class Diverging(Channel):
     """Predicts with half the error, and five times the error where more than 20 samples are corrected."""
 
-    def predict(self, batch, horizons):
+    def predict(self, batch, horizons, every=1):
         corrected = 0 if self.compensator is None else self.compensator.max_horizon
         factors = [1.0 if corrected == 0 else 0.5 if min(h, corrected) <= 20 else 5.0 for h in horizons]
         return batch.displacement + jnp.array(factors)[:, None, None]

@@ -31,6 +31,7 @@ def check(updates):
     assert max(later - earlier for earlier, later in pairwise(fractions)) <= LARGEST_JUMP
 
 
+@pytest.mark.long
 def test_the_fraction_rises_in_small_steps_without_training(campaign, quick_settings):
     updates = recorded(campaign, **{**quick_settings, "training": None})
     check(updates)

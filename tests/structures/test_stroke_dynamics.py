@@ -101,6 +101,7 @@ def test_without_slope_it_is_the_structure_with_dry_friction():
 
 
 @pytest.mark.parametrize("slope", [-0.7, 0.5])
+@pytest.mark.long
 def test_between_nodes_it_is_the_model_of_the_place(slope):
     """A straight line between nodes d apart is off by at most d²/8 of the second derivative."""
     values = model(slope).values

@@ -82,6 +82,7 @@ def cycles(make_record):
     return records
 
 
+@pytest.mark.long
 def test_of_mixed_logs_only_strokes_of_held_out_cycles_are_validated_on(cycles, tmp_path):
     form = ModelSpec(structure_named("integrator"))
     settings = {**QUICK, "structure": {LIFTING: form, LOWERING: form}, "training": None}

@@ -10,7 +10,6 @@ from hitchid.estimation.least_squares import LeastSquaresResult as LeastSquaresR
 from hitchid.estimation.least_squares import best_refined as best_refined
 from hitchid.estimation.least_squares import refine as refine
 from hitchid.estimation.objective import Objective as Objective
-from hitchid.estimation.objective import TestEquations as TestEquations
 from hitchid.estimation.objective import allows_per_test_gain as allows_per_test_gain
 from hitchid.estimation.objective import refine_subset as refine_subset
 from hitchid.estimation.search_history import SearchComparison as SearchComparison

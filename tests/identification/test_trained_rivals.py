@@ -48,6 +48,7 @@ def test_a_model_has_the_rivals_that_cost_little(quick, campaign):
     assert any("hitchid rivals" in notice for notice in result.notices)
 
 
+@pytest.mark.long
 def test_rivals_are_trained_beside_a_model_that_stays_as_it_is(quick, trained, campaign, tmp_path):
     hitchid.save(quick, tmp_path / "quick")
     hitchid.save(trained, tmp_path / "trained")
@@ -61,6 +62,7 @@ def test_rivals_are_trained_beside_a_model_that_stays_as_it_is(quick, trained, c
     assert not any("hitchid rivals" in notice for notice in result.notices)
 
 
+@pytest.mark.long
 def test_rivals_are_the_same_with_the_model_and_after_it(trained, campaign, settings, tmp_path):
     rivals = RivalsConfig(trained=True, searches=None)
     at_once = hitchid.identify(campaign, **{**settings, "rivals": rivals}).model
