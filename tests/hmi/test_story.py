@@ -82,7 +82,7 @@ def test_from_the_bench_to_a_driven_hitch(operator, project):
     operator.identify_brief.check()
     operator.identify_start.click()
     job = finished(operator, "identify", project)
-    assert any("whale" in name for name in job["curves"])
+    assert any("searching parameters" in name for name in job["curves"])
     operator.validate_name.fill("first")
     operator.validate_start.click()
     finished(operator, "validate", project)
