@@ -52,8 +52,7 @@ def identify(
     from hitchid._support.checkpoints import has_failed, has_results, mark_failed
 
     # A stopped run has left its physics model in `out`: how to go on is said before that it exists.
-    force = force or has_failed(unfinished)
-    if not resume and not force:
+    if not (resume or force or has_failed(unfinished)):
         _check_no_stopped_run(unfinished)
     check_folder(out, result_kind="model.json", force=force)
     check_inputs(out, [*logs, config, signals])

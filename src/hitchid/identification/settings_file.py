@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypedDict
 
-from pydantic import Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from hitchid.data.record import DIRECTIONS
 from hitchid.data.settings_errors import describe
@@ -177,6 +177,16 @@ def read_settings(path: Path) -> Settings:
         raise SettingsError(f"{path}: {error}") from error
 
 
+class KeptSettings(BaseModel):
+    """What a model folder says of the settings of its identification; a folder may come from a stranger."""
+
+    structure: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    search: dict[str, Any] = Field(default_factory=dict)
+    training: dict[str, Any] = Field(default_factory=dict)
+    dead_zones: dict[str, float] = Field(default_factory=dict)
+    drift: bool = False
+
+
 def settings_of_model(described: Mapping[str, Any]) -> Settings:
     """Return the settings of an identification from what its model says of them; defaults where it is silent.
 
@@ -187,18 +197,20 @@ def settings_of_model(described: Mapping[str, Any]) -> Settings:
         SettingsError: they cannot be understood.
     """
 
-    def known(section: type[Strict], values: Mapping[str, Any]) -> dict[str, Any]:
+    def by_key(section: type[Strict], values: Mapping[str, Any]) -> dict[str, Any]:
         if values.get("automatic"):
             return {"load": values.get("load", ())}
         return {key: value for key, value in values.items() if key in section.model_fields}
 
-    content: dict[str, Any] = {"drift": described.get("drift", False)}
-    for direction, values in described.get("structure", {}).items():
-        dead_zone = described.get("dead_zones", {}).get(direction)
-        content[direction] = {**known(ChannelSection, values), "dead_zone": dead_zone}
-    content["search"] = known(SearchSection, described.get("search", {}))
-    content["training"] = known(TrainingSection, described.get("training", {}))
     try:
+        kept = KeptSettings.model_validate(dict(described))
+        content: dict[str, Any] = {
+            direction: {**by_key(ChannelSection, values), "dead_zone": kept.dead_zones.get(direction)}
+            for direction, values in kept.structure.items()
+        }
+        content["drift"] = kept.drift
+        content["search"] = by_key(SearchSection, kept.search)
+        content["training"] = by_key(TrainingSection, kept.training)
         return IdentifyFile.model_validate(content).settings()
     except ValidationError as error:
         raise SettingsError(f"the settings of the model: {describe(error)}") from error
