@@ -14,8 +14,6 @@ from hitchid.cli.cache import with_search_cache
 from hitchid.cli.options import AsJson, Force, Logs, Quiet, Signals, Strict
 from hitchid.errors import InputError, OutputError
 
-RIVALS_WORK = 1.5  # of all rivals, of that of the model (measured)
-
 
 def identify(
     logs: Logs,
@@ -62,6 +60,7 @@ def identify(
     from hitchid.audit import audit
     from hitchid.identification import Identification, RivalsConfig, Settings, read_settings, train_rivals
     from hitchid.identification import identify as run
+    from hitchid.identification.pipeline import RIVALS_SHARE
     from hitchid.readers import read
 
     settings: Settings = {} if config is None else read_settings(config)
@@ -90,7 +89,7 @@ def identify(
 
     try:
         with display.progress(quiet=quiet) as report:
-            share = 1 / (1 + RIVALS_WORK) if with_rivals else 1.0
+            share = 1 / (1 + RIVALS_SHARE) if with_rivals else 1.0
             identification = run(
                 campaign,
                 **settings,
@@ -109,13 +108,6 @@ def identify(
                 )
                 identification = replace(identification, model=model)
                 identification.save(out, force=True)
-    except OutputError:
-        # With free disk space --resume continues; a new run may replace the folder without --force.
-        if has_results(unfinished):
-            mark_failed(unfinished, failed=True)
-        else:
-            _remove_run(unfinished)
-        raise
     except InputError:
         # With --resume the results may be those of another run, which must not be removed.
         if not (resume and has_results(unfinished)):
@@ -124,7 +116,12 @@ def identify(
             mark_failed(unfinished, failed=True)
         raise
     except Exception:
-        _remove_run(unfinished)
+        # Such as a full disk: with free space --resume continues; a new run may replace the folder without
+        # --force.
+        if has_results(unfinished):
+            mark_failed(unfinished, failed=True)
+        else:
+            _remove_run(unfinished)
         raise
     _remove_run(unfinished)
     if as_json:

@@ -166,7 +166,7 @@ class Job:
         }
 
     def take_line(self, line: str) -> bool:
-        """Take a line of standard error, progress as JSON or text; return whether it tells of a result."""
+        """Take a line of standard error, progress as JSON or text; return whether it reports a result."""
         with contextlib.suppress(ValueError, TypeError, KeyError, OverflowError):
             update = json.loads(line)["progress"]
             self._take_progress(update)

@@ -52,9 +52,8 @@ def run_pipeline(
     """
 
     shares = SHARES if config.training else SHARES_WITHOUT_TRAINING
-    parts = split_progress(
-        progress, {**shares, **({"rivals": RIVALS_SHARE} if config.rivals.trained else {})}
-    )
+    rivals_share = {"rivals": RIVALS_SHARE} if config.rivals.trained else {}
+    parts = split_progress(progress, {**shares, **rivals_share})
     parts["tests"](ProgressUpdate("finding dead zones in the tests", 0.0))
 
     def prepare_job(campaign: Campaign) -> CampaignJob:

@@ -35,7 +35,7 @@ class Channel(eqx.Module):
         operating_range: ranges of the signals in the identification tests.
         compensator: predicts the benchmark's error from measured displacement; None for no correction.
         speed_compensator: corrects the benchmark in free run; None where it was not accepted.
-        limits: limits of the displacement in free run; None in models of older versions.
+        limits: limits of the displacement in free run; None for none.
         load_filter: estimates offset and load from measured displacement.
     """
 

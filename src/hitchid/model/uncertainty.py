@@ -20,9 +20,8 @@ class Uncertainty:
         bands: bands around the predictions; None where there were too few tests.
         information: Fisher information of the tests, for the design of the next one.
         characteristics: speed map, dead zone, delay and response time; None where the structure has no steady
-            speed, where they could not be computed, or in a model of an older version.
-        load_scatter: scatter of the speed between tests; None where it could not be computed, or in a model
-            of an older version.
+            speed, or where they could not be computed.
+        load_scatter: scatter of the speed between tests; None where it could not be computed.
     """
 
     benchmark: Estimates

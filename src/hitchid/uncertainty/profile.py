@@ -158,15 +158,16 @@ class _ProfilePoint:
         """Test a position; `objectives`: with the dead zone, and with it one standard error larger."""
         equations = [objective.equations_by_test(position) for objective in objectives]
         scores, *shifted_scores = [
-            Scores.of(objective, position, known)
-            for objective, known in zip(objectives, equations, strict=True)
+            Scores.of(objective, position, at_position)
+            for objective, at_position in zip(objectives, equations, strict=True)
         ]
         tangent = scores.profile_tangent(number)
         slopes = scores.slopes @ tangent
         shift = sum((float((other.slopes @ tangent).sum() - slopes.sum()) for other in shifted_scores), 0.0)
         degrees = slopes.size - position.size
         errors, *shifted_errors = [
-            objective.rmse_of(known.costs) for objective, known in zip(objectives, equations, strict=True)
+            objective.rmse_of(at_position.costs)
+            for objective, at_position in zip(objectives, equations, strict=True)
         ]
         excess, cost = 0.0, float(equations[0].costs.sum())
         if slopes.sum() ** 2 > MIN_RELATIVE_DECREASE * (tangent @ scores.curvature @ tangent) * cost:

@@ -99,8 +99,8 @@ def validate(
         )
     if not model.has_trained_rivals:
         notices.append(
-            "compared with persistence, ARX and the paper's transfer function only; hitchid rivals MODEL "
-            "LOGS trains OE, NARX, a black-box LSTM and the paper's grey box"
+            "no trained rivals to compare with: hitchid rivals MODEL LOGS trains OE, NARX, a black-box LSTM "
+            "and the paper's grey box"
         )
     mode_test = model.two_modes
     if mode_test is not None:
