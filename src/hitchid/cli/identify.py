@@ -108,20 +108,14 @@ def identify(
                 )
                 identification = replace(identification, model=model)
                 identification.save(out, force=True)
-    except InputError:
-        # With --resume the results may be those of another run, which must not be removed.
-        if not (resume and has_results(unfinished)):
+    except Exception as error:
+        refused = isinstance(error, InputError) and not isinstance(error, OutputError)
+        # Nothing of a refused run is of use, but with --resume the results may be those of another run. After
+        # any other failure, such as a full disk, --resume goes on, or a new run takes the folder.
+        if not has_results(unfinished) or (refused and not resume):
             _remove_run(unfinished)
-        elif failed_before:
+        elif failed_before or not refused:
             mark_failed(unfinished, failed=True)
-        raise
-    except Exception:
-        # Such as a full disk: with free space --resume continues; a new run may replace the folder without
-        # --force.
-        if has_results(unfinished):
-            mark_failed(unfinished, failed=True)
-        else:
-            _remove_run(unfinished)
         raise
     _remove_run(unfinished)
     if as_json:
