@@ -8,6 +8,7 @@ import pytest
 from hitchid.data.signal_map import read_campaign_file
 from hitchid.errors import InputError
 from hitchid.inspection import propose
+from hitchid.inspection.motion import Windows
 from hitchid.readers import find_logs, write_table
 
 STEP_S = 0.01
@@ -115,3 +116,15 @@ def test_measured_sets_get_the_mapping_that_stands_beside_them(data, name, expec
     signals = tomllib.loads(propose(find_logs(data(name))))["signals"]
     assert signals.pop("time")["unit"] == "s"
     assert signals == expected
+
+
+def test_motion_is_looked_for_after_its_command_and_not_before_it():
+    command = np.random.default_rng(0).standard_normal(200)
+    follows = np.ones(200, bool)
+
+    def correlation(rate):
+        return Windows({"u": command}, {"x": rate}, follows).correlation(command, "x")
+
+    assert correlation(np.append(0.0, command[:-1])) == pytest.approx(1.0)
+    # A rate that leads its command by a window is unrelated to it: of 200 values |r| < 4/√200.
+    assert abs(correlation(np.append(command[1:], 0.0))) < 4 / np.sqrt(command.size)

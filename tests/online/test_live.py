@@ -217,6 +217,14 @@ def test_after_too_long_a_gap_nothing_is_known_any_more(gap_s):
     assert begun.displacement == Live(MODEL).process(full(0.0, displacement=70.0)).displacement
 
 
+def test_over_the_longest_gap_the_model_goes_on():
+    live = Live(MODEL)
+    live.process(full(0.0))
+    late = live.process(sample(STEP_S * (MAX_GAP_SAMPLES + 1), LIFT, 0.0))
+    assert late.displacement is not None
+    assert not said(late, "waiting for an initial displacement")
+
+
 def test_both_valves_on_is_told():
     live = Live(MODEL, initial=START)
     both = live.process(sample(0.0, LIFT, LIFT))

@@ -27,6 +27,15 @@ def test_no_oil_is_made_or_lost(any_rig, binary):
     np.testing.assert_allclose(there, np.broadcast_to(there[:, :1], there.shape), rtol=1e-9)
 
 
+def test_the_oil_fills_chamber_fittings_and_hose(any_rig):
+    cylinder = any_rig.cylinder
+    assert float(cylinder.hose_volume) > 0
+    empty = cylinder.volume(jnp.asarray(0.0))
+    np.testing.assert_allclose(empty, cylinder.dead_volume + cylinder.hose_volume, rtol=1e-12)
+    swept = np.pi / 4 * cylinder.bore**2 * 0.1
+    np.testing.assert_allclose(cylinder.volume(jnp.asarray(0.1)) - empty, swept, rtol=1e-9)
+
+
 def test_pressure_carries_the_load_at_hold(any_rig, held):
     currents = held(0.0, 0.0)
     force = np.array([[0.0], [800.0], [-500.0], [0.0]])
