@@ -741,3 +741,8 @@ def test_no_two_compared_models_look_alike_even_without_colours():
     assert len({line.get_marker() for line in lines}) == len(lines) == 9
     assert len({str(line._dash_pattern) for line in lines}) == len(COMPARED)  # persistence is solid, as A
     assert len({line.get_color() for line in lines}) == len(lines)
+
+
+def test_a_parameter_without_a_symbol_is_called_by_its_name():
+    trace = reported.trace(reported.estimate("speed_along", symbol="", unit="1/mm", linear=True))
+    assert figures.convergence(trace.phase1, "mm").axes[1].get_ylabel() == "speed along\n/ 1/mm"

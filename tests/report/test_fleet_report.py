@@ -9,7 +9,7 @@ import fleet_rows
 from hitchid.fleet import compare_fleet
 from hitchid.fleet.metadata import Metadata
 from hitchid.report import Rating, fleet_report, render
-from hitchid.report.fleet_findings import fleet_findings
+from hitchid.report.fleet_findings import fleet_findings, q_text
 
 FAULTS = {7: {"gain_factor": 0.85}, 2: {"dead_zone_shift": 0.04}, 11: {"delay_s": 0.2}}
 LATER = "2027-03-01T08:00:00+00:00"
@@ -159,3 +159,27 @@ def test_costs_are_median_quantile_and_sum(report):
     assert rows["core-seconds / s"] == ("30", "30", "990")
     assert rows["read / MB"] == ("4", "4", "132")
     assert rows["largest memory of the worker / MB"] == ("900", "900", "")
+
+
+def test_there_are_sections_for_what_there_is(report):
+    assert titles(report) == ["Machines that stand out", "Machines beside each other", "Failures", *ALWAYS]
+    assert [picture.name for picture in report.pictures] == [
+        "verdicts",
+        "lifting-machines",
+        "lowering-machines",
+        "gain-and-dead-zone",
+        "speeds",
+    ]
+    assert all(picture.alt and picture.caption and picture.wide for picture in report.pictures)
+
+
+def test_a_column_of_numbers_has_a_slope():
+    rows = fleet_rows.fleet(40, faults={number: {"gain_factor": 1 - 0.004 * number} for number in range(40)})
+    ages = tuple(100.0 * number for number in range(40))
+    known = Metadata("machines.csv", tuple(row.machine for row in rows), {"age_h": ages})
+    sentences = [each.sentence for each in document(rows, known).verdict]
+    assert any(text.startswith("The gain of lowering falls with age_h, by 0.00") for text in sentences)
+
+
+def test_small_q_values_are_not_told_apart():
+    assert [q_text(each) for each in (1e-12, 0.034)] == ["q < 0.001", "q = 0.034"]

@@ -308,3 +308,42 @@ def test_a_figure_whose_words_are_hostile_stays_a_figure():
     document = replace(reported.document(), sections=(ReportSection("A", (Pictures((picture,)),)),))
     root = read(html(document))
     assert not list(root.all("script"))
+
+
+def test_signs_are_hidden_from_who_hears_the_page(root):
+    signs = [each for each in root.all("span") if each.get("class") == "sign"]
+    assert len(signs) == 3 * len(reported.FINDINGS)
+    assert {each.get("aria-hidden") for each in signs} == {"true"}
+    assert len({each.text for each in signs}) == 3
+
+
+def test_columns_of_numbers_stand_right_head_and_cells(root):
+    table = next(root.all("table"))
+    header = next(table.all("thead")).all("th")
+    right = [cell.get("class") == "number" for cell in header]
+    assert right == [False, True, True, True, False]
+    for row in next(table.all("tbody")).all("tr"):
+        assert [cell.get("class") == "number" for cell in row.all("th", "td")] == right
+
+
+@pytest.mark.parametrize(
+    ("cells", "right"),
+    [
+        (("1", "-2.5"), True),
+        (("41.85 ± 0.30", ""), True),
+        (("1.2 … 3.4", "> 988", "< 0.05"), True),
+        (("diverged", "0.5"), True),
+        (("any", "1"), True),
+        (("1e-05", "2.5e+07"), True),
+        (("100.0 %", "3"), True),
+        (("", ""), False),
+        (("grey box", "1"), False),
+        (("determined", "determined"), False),
+        (("1 of 8", "2"), False),
+        (("mm", "s"), False),
+        (("4f2a9b0e11111111", "4111111111111111"), False),
+    ],
+)
+def test_a_column_is_of_numbers_where_every_cell_of_it_is_one(cells, right):
+    found = Table("", ("name", "value"), tuple(("row", cell) for cell in cells)).numeric
+    assert found == [False, right]

@@ -133,3 +133,23 @@ def test_a_pdf_that_cannot_be_made_is_refused_early(monkeypatch):
         check_renderers(["html", "pdf"])
     with pytest.raises(InputError, match=r"hitchid\[pdf\]"):
         render(reported.document(), "pdf")
+
+
+def titles(content):
+    """Return the headings of a PDF's outline, as far as they are written in Latin letters."""
+    found = re.findall(rb"/Title\(((?:[^\\()]|\\.)*)\)", content)
+    return [re.sub(rb"\\([\\()])", rb"\1", each).decode("latin-1") for each in found]
+
+
+def test_every_heading_is_in_the_outline(content):
+    assert sorted(titles(content)) == sorted(
+        ["A report", "Verdict", "To keep in mind", "Mixed cycles", "Details", "Finer", "Logs"]
+    )
+
+
+def test_a_long_table_goes_on_with_its_header_on_the_next_page(made, words):
+    rows = tuple((f"test-{number:03d}", f"{number}.5") for number in range(120))
+    long = Table("lifting: all", ("test of the series", "RMSE / mm"), rows)
+    said = words(made(Document("A", "B", (), (), (ReportSection("All", (long,)),))))
+    assert all(name in said for name, _ in rows)
+    assert said.count("test of the series") >= 2

@@ -671,3 +671,26 @@ def test_a_report_of_forty_tests_is_smaller_than_3_megabytes(tmp_path):
     write_report(tmp_path / "out", document, {"metrics.json": b"{}"}, mark="metrics.json")
     assert (tmp_path / "out" / "report.html").stat().st_size < 3e6
     assert all(len(each.caption) < 400 for each in document.pictures)
+
+
+def test_limits_stand_before_the_directions(validated, campaign, tmp_path):
+    (tmp_path / "limits.toml").write_text(LIMITS.format(tests=3, rmse=1.0))
+    result = validated("lifting alone")
+    acceptance = result.check(read_limits(tmp_path / "limits.toml"))
+    document = result.report(acceptance=acceptance)
+    assert titles(document.sections)[:2] == ["Acceptance", "Lifting"]
+    assert "ccepted" in document.verdict[0].sentence
+
+
+def test_notices_of_the_result_are_sentences_of_the_report(report, validated):
+    notices = validated("whole").notices
+    assert notices
+    for notice, said in zip(notices, report("whole").notices, strict=True):
+        assert said.lower() == f"{notice.lower()}."
+
+
+def test_lowering_logs_are_not_used_by_a_model_that_only_lifts(report):
+    (table,) = blocks(section(report("lifting alone"), "Logs"), Table)
+    uses = {row[0]: row[2] for row in table.rows}
+    assert uses["lifting-01"] == "unseen test"
+    assert uses["lowering-01"] == "not used"
