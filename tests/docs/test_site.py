@@ -4,6 +4,7 @@ import importlib.util
 import subprocess
 import sys
 from html.parser import HTMLParser
+from itertools import pairwise
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
@@ -179,3 +180,11 @@ def test_the_help_of_every_command_is_shown(pages, site):
             name = f"{prefix}{command.callback.__name__}"
             assert f"Usage: hitchid {name} " in text
             assert f"Example: hitchid {name} " in text or "|" in command.epilog
+
+
+def test_every_page_has_one_title_and_skips_no_rank(pages, site):
+    for path, page in pages.items():
+        name = path.relative_to(site)
+        assert page.headings.count(1) == 1, name
+        ranks = page.headings[page.headings.index(1) :]
+        assert all(after - before <= 1 for before, after in pairwise(ranks)), name
