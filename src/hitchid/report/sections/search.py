@@ -32,13 +32,16 @@ def search(context: DirectionContext) -> ReportSection:
 
 
 def _trace_pictures(context: DirectionContext, trace: ChannelTraceFile) -> Iterator[Picture]:
-    unit = context.data.unit
+    unit, search = context.data.unit, trace.phase1
+    caption = "Search: best fitness so far (weighted over the tests), and the parameters of the best member."
+    if len(search.searched) < len(search.uncertainty.parameters):
+        caption += " The plain form was searched; dotted: the model's form, which grew from it."
     yield Picture(
         context.figure_name("convergence"),
-        figures.convergence(trace.phase1, unit),
-        "Search: best fitness so far (weighted over the tests), and the parameters of the best member.",
+        figures.convergence(search, unit),
+        caption,
         "Best RMSE and the parameters that gave it, over the iterations of the search.",
-        data=figure_data.convergence(trace.phase1, unit),
+        data=figure_data.convergence(search, unit),
     )
     if trace.phase2 is not None:
         yield Picture(
