@@ -10,7 +10,7 @@ from pathlib import Path
 
 from .bars import compare, read_bars, zoo_total
 from .judge import judge
-from .measured import SETS, TIMED_SETS, judge_set, judge_speed, missing
+from .measured import ALONE, SETS, WARM_SETS, judge_set, judge_speed, missing
 from .outcome import MODEL, Outcome
 from .page import page
 from .workers import Job, run_jobs
@@ -38,7 +38,7 @@ def main() -> int:
     sets = [name for name in sets if name not in missing_sets]
     for name in missing_sets:
         sys.stdout.write(f"left out: {name}, its folder is missing; set HITCHID_DATA\n")
-    jobs = [Job(name, judge_set, {"name": name}) for name in sets]
+    jobs = [Job(name, judge_set, {"name": name}) for name in sets if name != ALONE]
     if single:
         jobs += _campaigns(arguments.zoo, physics=arguments.physics, keep=arguments.keep)
     else:
@@ -50,9 +50,10 @@ def main() -> int:
         jobs += [] if arguments.full else _campaigns(range(FIXED_CAMPAIGNS), physics=True)
     sys.stdout.flush()
     run_jobs(jobs, report)
-    # Times are of a machine that does nothing else, its programs compiled by the runs before.
-    timing_jobs = [Job(f"{name}, warm", judge_speed, {"name": name}) for name in TIMED_SETS if name in sets]
-    run_jobs(timing_jobs, report, together=SINGLE_PROCESS)
+    # Times are of a machine that does nothing else.
+    timed = [Job(f"{name}, warm", judge_speed, {"name": name}) for name in WARM_SETS if name in sets]
+    timed += [Job(ALONE, judge_set, {"name": ALONE})] if ALONE in sets else []
+    run_jobs(timed, report, together=SINGLE_PROCESS)
     if not single:
         report(zoo_total(outcomes))
         PAGE.write_text(page(outcomes, bars, left_out=missing_sets, seed=seed), encoding="utf-8")
