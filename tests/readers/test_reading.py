@@ -303,6 +303,20 @@ def test_rows_with_one_stamp_count_once_and_are_told(folder):
     )
 
 
+@pytest.mark.parametrize("rows", [2, 3])
+def test_of_rows_with_one_stamp_the_command_is_that_after_the_event(folder, rows):
+    # A logger that writes each event of its own: rows before, and one after, the command has changed.
+    log, edges = columns(), np.flatnonzero(np.diff(columns()["current_up_A"])) + 1
+    assert edges.size
+    before = np.repeat(edges, rows - 1)
+    events = {name: np.insert(values, before, values[before]) for name, values in log.items()}
+    events["current_up_A"] = np.insert(log["current_up_A"], before, log["current_up_A"][before - 1])
+    write_table(folder / "a.csv", events)
+    (record,) = read(folder).records
+    np.testing.assert_array_equal(record.command("lifting"), log["current_up_A"])
+    np.testing.assert_array_equal(record.displacement, log["displacement_mm"])
+
+
 @pytest.mark.parametrize(("unit", "per_second"), [("s", 1), ("ms", 1000)])
 @pytest.mark.parametrize("start_s", [0.0, -5.0, 1.7e9])
 def test_any_start_and_unit_of_time_gives_the_same_clock(folder, unit, per_second, start_s):
