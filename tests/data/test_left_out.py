@@ -56,7 +56,7 @@ def spoil(folder, name, kind):
     if kind == "unreadable":
         path.write_bytes(b"\x00\xff\xfe")
     elif kind == "not finite":
-        path.write_text("\n".join([*lines[:50], "0.5,0.5,0,nan", *lines[51:], ""]))
+        path.write_text("\n".join([lines[0], *(f"{line.rpartition(',')[0]},nan" for line in lines[1:]), ""]))
     elif kind == "lacks a column":
         path.write_text("\n".join([lines[0].replace("displacement_mm", "x_mm"), *lines[1:], ""]))
     elif kind == "too short":

@@ -293,7 +293,7 @@ def test_jitter_is_resampled_and_keeps_a_straight_line(folder, fraction):
 
 def test_rows_with_one_stamp_count_once_and_are_told(folder):
     log = {name: np.insert(values, 50, values[49]) for name, values in columns().items()}
-    log["displacement_mm"][50] = 99.0
+    log["displacement_mm"][50] += 3.0
     write_table(folder / "a.csv", log)
     (record,) = read(folder).records
     assert record.step_s == STEP_S
@@ -347,9 +347,8 @@ def test_the_shortest_log_is_read(folder):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("column", ["time_s", "current_up_A", "displacement_mm"])
-def test_a_stretch_that_is_not_finite_is_refused_with_its_line_and_length(folder, column, value):
-    log = columns()
+def test_a_time_that_is_not_finite_is_refused_with_its_line_and_length(folder, value):
+    log, column = columns(), "time_s"
     log[column][30:50] = value
     write_table(folder / "a.csv", log)
     with pytest.raises(LogError) as caught:
@@ -358,7 +357,7 @@ def test_a_stretch_that_is_not_finite_is_refused_with_its_line_and_length(folder
         assert said in str(caught.value)
 
 
-@pytest.mark.parametrize(("column", "value"), [("displacement_mm", "nan"), ("time_s", "0.08")])
+@pytest.mark.parametrize(("column", "value"), [("current_up_A", "x"), ("time_s", "0.08")])
 def test_blank_lines_do_not_shift_the_line_of_a_fault(folder, column, value):
     lines = (folder / "a.csv").read_text().splitlines()
     cells = lines[11].split(",")

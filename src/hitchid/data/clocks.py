@@ -98,7 +98,10 @@ def resample_to_common_clock(
         for role, channel in channels.items()
     }
     steps_text = ", ".join(f"{names[role]} {steps[role]:.4g} s" for role in channels)
-    notices = [f"resampled to the clock of {names[reference]}: {steps_text}"]
+    is_selection = len(set(steps.values())) == 1 and all(
+        np.all(np.isin(common_time_s, clocks[role])) for role in other_roles
+    )
+    notices = [] if is_selection else [f"resampled to the clock of {names[reference]}: {steps_text}"]
     notices += [
         f"{names[role]} is sampled every {steps[role]:.3g} s, {names[reference]} every "
         f"{steps[reference]:.3g} s: dead times are known no better than that"

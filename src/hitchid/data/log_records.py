@@ -38,7 +38,7 @@ def records_of(name: str, table: LogTable, signals: SignalMap) -> list[Record]:
         _record(name if len(usable) == 1 else f"{name}@{number}", table, section)
         for number, section in enumerate(usable, start=1)
     ]
-    notices = [Notice("as-read", sentence) for sentence in table.notices]
+    notices = [*table.not_measured, *(Notice("as-read", sentence) for sentence in table.notices)]
     if repeated:
         sentence = f"{repeated} rows are left out: they repeat the time stamp of the previous row"
         notices.append(Notice("rows-left-out", sentence))
