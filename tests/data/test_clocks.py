@@ -151,6 +151,43 @@ def test_a_channel_that_holds_the_time_counts_for_all():
     assert table.notices == ()
 
 
+@pytest.mark.parametrize("step_s", [0.02, 1.0])
+def test_a_slow_covariate_leaves_the_clock_to_the_motion(step_s):
+    signals = SIGNALS.model_copy(update={"covariates": (Column(column="p"),)})
+    slow = np.arange(0.0, 40.0, step_s)
+    clock = np.arange(4000) / 100
+    table = merged(
+        {"x": (clock, line(clock)), "i": (clock, stepped(clock)), "p": (slow, line(slow))}, signals
+    )
+    assert table.time_s.tobytes() == clock.tobytes()
+    assert table.signals["displacement"].tobytes() == line(clock).tobytes()
+    # Interpolated between its samples, held after the last.
+    np.testing.assert_allclose(
+        table.signals["p"], line(np.minimum(clock, slow[-1])), rtol=0, atol=16 * EPS * 1300
+    )
+
+
+def test_what_is_logged_on_change_is_held_until_it_changes():
+    signals = SIGNALS.model_copy(update={"covariates": (Column(column="mode"),)})
+    clock = np.arange(1000) / 100
+    changes, levels = np.array([0.0, 1.0, 1.35, 6.0]), np.array([0.0, 0.6, 0.4, 0.0])
+    modes = np.array([3.0, 4.0, 4.0, 5.0])
+    channels = {"x": (clock, line(clock)), "i": (changes, levels), "mode": (changes, modes)}
+    table = merged(channels, signals)
+    assert table.time_s.tobytes() == clock.tobytes()
+    np.testing.assert_array_equal(table.signals["lifting_command"], in_force(changes, levels, clock))
+    np.testing.assert_array_equal(table.signals["mode"], in_force(changes, modes, clock))
+    assert not any("dead times" in notice for notice in table.notices)
+
+
+def test_a_command_that_is_polled_rarely_is_held_and_named():
+    clock, polled = np.arange(4000) / 100, np.arange(40.0)
+    table = merged({"x": (clock, line(clock)), "i": (polled, stepped(polled, 7.0))})
+    np.testing.assert_array_equal(table.signals["lifting_command"], stepped(table.time_s, 7.0))
+    assert table.time_s.size == 3951  # half a step after the last poll nothing is known of the command
+    assert any("i is sampled every 1 s, x every 0.01 s" in notice for notice in table.notices)
+
+
 # --- gaps ---------------------------------------------------------------------------------------------------
 
 
@@ -231,9 +268,19 @@ def test_time_that_runs_back_is_refused_by_the_channels_name(bad):
     assert f"{stamps[50]:g} s follows {stamps[49]:g} s" in said
 
 
-def test_of_samples_with_one_stamp_the_first_is_kept():
-    stamps, values = np.insert(FAST, 500, FAST[499]), np.insert(line(FAST), 500, 1e6)
+@pytest.mark.parametrize("row", [0, 499, 500, 999])
+@pytest.mark.parametrize("shift", [0, 1])
+def test_of_samples_with_one_stamp_the_displacement_takes_the_one_that_fits(row, shift):
+    # The stray value stands before or after the true one, at the ends too.
+    stamps, values = np.insert(FAST, row, FAST[row]), np.insert(line(FAST), row + shift, 1e6)
     assert_line(merged({"x": (stamps, values), "i": (SLOW, stepped(SLOW))}))
+
+
+def test_of_samples_with_one_stamp_a_command_takes_the_last():
+    stamps = np.insert(FAST, 500, FAST[500])
+    values = np.insert(stepped(FAST), 500, 0.0)  # at 0.5 s: before the step, then after it
+    table = merged({"x": (FAST, line(FAST)), "i": (stamps, values)})
+    np.testing.assert_array_equal(table.signals["lifting_command"], stepped(FAST))
 
 
 @pytest.mark.parametrize("bad", ["x", "i"])
@@ -284,11 +331,13 @@ def test_the_order_of_the_channels_does_not_matter_and_a_line_stays_one(x, i, p,
     assert again.notices == table.notices
     for role, samples in table.signals.items():
         assert again.signals[role].tobytes() == samples.tobytes()
-    measured = [table.signals["displacement"], table.signals["p"]]
-    # Stamps and values up to 18 s and 550 mm, a slope over at least 1 ms.
-    np.testing.assert_allclose(measured, [line(table.time_s)] * 2, rtol=0, atol=64 * EPS * 550)
+    # Stamps and values up to 18 s and 550 mm, a slope over at least 1 ms. A covariate may be held for a step.
+    np.testing.assert_allclose(table.signals["displacement"], line(table.time_s), rtol=0, atol=64 * EPS * 550)
+    covariate = line(np.clip(table.time_s, p[0], p[-1]))
+    np.testing.assert_allclose(table.signals["p"], covariate, rtol=0, atol=64 * EPS * 550)
     nearest = np.abs(table.time_s[:, None] - i).min(axis=1)
-    assert nearest.max() <= max(np.diff(clock)[0] for clock in (x, i, p)) / 2 + 1e-9
+    assert nearest.max() <= max(np.diff(clock)[0] for clock in (x, i)) / 2 + 1e-9
+    assert np.abs(table.time_s[:, None] - p).min(axis=1).max() <= np.diff(p)[0] + 1e-9
     assert set(table.signals["lifting_command"]) <= {0.0, 0.6}
 
 

@@ -56,7 +56,7 @@ def spoil(folder, name, kind):
     if kind == "unreadable":
         path.write_bytes(b"\x00\xff\xfe")
     elif kind == "not finite":
-        path.write_text("\n".join([*lines[:50], "0.5,0.5,0,nan", *lines[51:], ""]))
+        path.write_text("\n".join([lines[0], *(f"{line.rpartition(',')[0]},nan" for line in lines[1:]), ""]))
     elif kind == "lacks a column":
         path.write_text("\n".join([lines[0].replace("displacement_mm", "x_mm"), *lines[1:], ""]))
     elif kind == "too short":
@@ -220,7 +220,12 @@ def test_a_load_that_no_log_has_is_refused_with_the_names_of_those_they_have(fiv
 
 @pytest.mark.parametrize(
     ("error", "stays"),
-    [(LogError("no"), False), (FitError("no"), True), (RuntimeError("bug"), True), (OutputError("full"), True)],
+    [
+        (LogError("log", "no"), False),
+        (FitError("no"), True),
+        (RuntimeError("bug"), True),
+        (OutputError("full"), True),
+    ],
 )
 def test_a_run_that_failed_is_not_in_the_way_of_the_next(five, tmp_path, monkeypatch, error, stays):
     unfinished = tmp_path / "model.unfinished"

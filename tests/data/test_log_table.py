@@ -92,7 +92,7 @@ def test_another_unit_of_the_dimension_is_converted_with_a_notice_that_names_bot
 
 @given(
     pair=st.sampled_from(POSITION_PAIRS),
-    values=arrays(np.float64, st.integers(1, 30), elements=st.floats(-1e100, 1e100)),
+    values=arrays(np.float64, st.integers(1, 20), elements=st.floats(-1e100, 1e100)),
 )
 def test_the_physical_quantity_is_kept_whatever_the_units(pair, values):
     had, asked = pair
@@ -234,10 +234,9 @@ def test_a_time_in_a_unit_of_something_else_is_refused(unit):
     assert "column 't'" in refused(content("mm", time=unit), signal_map("x"))
 
 
-@pytest.mark.parametrize("name", ["t", "i", "x"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_what_is_not_finite_is_refused_with_its_place_and_count(name, value):
-    given = content("mm")
+def test_a_time_that_is_not_finite_is_refused_with_its_place_and_count(value):
+    given, name = content("mm"), "t"
     spoiled = given.channels[name].values.copy()
     spoiled[[4, 9]] = value
     channels = {**given.channels, name: given.channels[name]._replace(values=spoiled)}

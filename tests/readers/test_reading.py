@@ -293,7 +293,7 @@ def test_jitter_is_resampled_and_keeps_a_straight_line(folder, fraction):
 
 def test_rows_with_one_stamp_count_once_and_are_told(folder):
     log = {name: np.insert(values, 50, values[49]) for name, values in columns().items()}
-    log["displacement_mm"][50] = 99.0
+    log["displacement_mm"][50] += 3.0
     write_table(folder / "a.csv", log)
     (record,) = read(folder).records
     assert record.step_s == STEP_S
@@ -301,6 +301,20 @@ def test_rows_with_one_stamp_count_once_and_are_told(folder):
     assert tuple(map(str, record.notices)) == (
         "1 rows are left out: they repeat the time stamp of the previous row",
     )
+
+
+@pytest.mark.parametrize("rows", [2, 3])
+def test_of_rows_with_one_stamp_the_command_is_that_after_the_event(folder, rows):
+    # A logger that writes each event of its own: rows before, and one after, the command has changed.
+    log, edges = columns(), np.flatnonzero(np.diff(columns()["current_up_A"])) + 1
+    assert edges.size
+    before = np.repeat(edges, rows - 1)
+    events = {name: np.insert(values, before, values[before]) for name, values in log.items()}
+    events["current_up_A"] = np.insert(log["current_up_A"], before, log["current_up_A"][before - 1])
+    write_table(folder / "a.csv", events)
+    (record,) = read(folder).records
+    np.testing.assert_array_equal(record.command("lifting"), log["current_up_A"])
+    np.testing.assert_array_equal(record.displacement, log["displacement_mm"])
 
 
 @pytest.mark.parametrize(("unit", "per_second"), [("s", 1), ("ms", 1000)])
@@ -333,9 +347,8 @@ def test_the_shortest_log_is_read(folder):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("column", ["time_s", "current_up_A", "displacement_mm"])
-def test_a_stretch_that_is_not_finite_is_refused_with_its_line_and_length(folder, column, value):
-    log = columns()
+def test_a_time_that_is_not_finite_is_refused_with_its_line_and_length(folder, value):
+    log, column = columns(), "time_s"
     log[column][30:50] = value
     write_table(folder / "a.csv", log)
     with pytest.raises(LogError) as caught:
@@ -344,7 +357,7 @@ def test_a_stretch_that_is_not_finite_is_refused_with_its_line_and_length(folder
         assert said in str(caught.value)
 
 
-@pytest.mark.parametrize(("column", "value"), [("displacement_mm", "nan"), ("time_s", "0.08")])
+@pytest.mark.parametrize(("column", "value"), [("current_up_A", "x"), ("time_s", "0.08")])
 def test_blank_lines_do_not_shift_the_line_of_a_fault(folder, column, value):
     lines = (folder / "a.csv").read_text().splitlines()
     cells = lines[11].split(",")

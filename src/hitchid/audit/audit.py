@@ -17,13 +17,14 @@ from hitchid.audit.polarity import signs
 from hitchid.audit.ranges import units
 from hitchid.audit.repeatability import drift, ramp_onsets, start_positions
 from hitchid.audit.resolution import noisy, quantisation, update_rate
-from hitchid.audit.sampling import coarse, gaps, steps
+from hitchid.audit.sampling import coarse, gaps, not_measured, steps
 from hitchid.audit.spikes import jumps, spikes
 from hitchid.audit.stuck_sensor import stuck_sensors
 from hitchid.data.campaign import Campaign
 
 MIN_MERGED = 4  # records with the same finding, from which on they are merged (chosen)
 RECORD_CHECKS: tuple[Callable[[RecordContext], list[AuditFinding]], ...] = (
+    not_measured,
     steps,
     coarse,
     update_rate,

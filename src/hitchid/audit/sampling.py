@@ -5,6 +5,7 @@ import numpy as np
 from hitchid._support.notices import Severity
 from hitchid.audit.context import CampaignContext, RecordContext
 from hitchid.audit.finding import AuditFinding
+from hitchid.data.not_measured import NOT_MEASURED
 
 UNLIKE_STEPS = 1.5  # ratio of sampling times; above it, resampling interpolates or smooths motion (chosen)
 MUCH_JITTER = 0.10  # of the sampling time: a tenth of the one-step motion at working speed
@@ -87,6 +88,21 @@ def coarse(context: RecordContext) -> list[AuditFinding]:
             f"{share:.0%} of its range of {quality.peak_to_peak:.4g} {quality.unit}",
             f"log with a shorter sampling time: at least {FEWEST_SAMPLES_A_STROKE} samples per stroke",
         )
+    ]
+
+
+def not_measured(context: RecordContext) -> list[AuditFinding]:
+    """Find logs with samples that no sensor measured, which reading has left out."""
+    return [
+        context.finding(
+            "not measured",
+            notice.severity,
+            notice.sentence,
+            "check the sensor and the logger; the samples are used nowhere",
+            signal=notice.place,
+        )
+        for notice in context.record.notices
+        if notice.code == NOT_MEASURED
     ]
 
 

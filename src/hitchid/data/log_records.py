@@ -8,7 +8,7 @@ import numpy as np
 from hitchid._support.notices import Notice
 from hitchid.data.log_table import LogTable
 from hitchid.data.record import COMMAND, DISPLACEMENT, Record, resampled
-from hitchid.data.resampling import LogSection, sections, uniform, unique_stamp_rows
+from hitchid.data.resampling import LogSection, one_sample_a_stamp, sections, uniform, unique_stamp_rows
 from hitchid.data.signal_map import SignalMap
 from hitchid.errors import LogError
 
@@ -24,7 +24,7 @@ def records_of(name: str, table: LogTable, signals: SignalMap) -> list[Record]:
     source, column = table.source, signals.time.column
     rows = unique_stamp_rows(table.time_s, source, column=column, line_of=table.line_of)
     repeated = table.time_s.size - rows.size
-    table = _select_rows(table, rows) if repeated else table
+    table = _one_row_a_stamp(table, rows) if repeated else table
     time_s = table.time_s
     commands = {role: values for role, values in table.signals.items() if role in COMMAND.values()}
     all_sections = sections(time_s, commands, table.signals[DISPLACEMENT])
@@ -38,7 +38,7 @@ def records_of(name: str, table: LogTable, signals: SignalMap) -> list[Record]:
         _record(name if len(usable) == 1 else f"{name}@{number}", table, section)
         for number, section in enumerate(usable, start=1)
     ]
-    notices = [Notice("as-read", sentence) for sentence in table.notices]
+    notices = [*table.not_measured, *(Notice("as-read", sentence) for sentence in table.notices)]
     if repeated:
         sentence = f"{repeated} rows are left out: they repeat the time stamp of the previous row"
         notices.append(Notice("rows-left-out", sentence))
@@ -52,8 +52,11 @@ def records_of(name: str, table: LogTable, signals: SignalMap) -> list[Record]:
     return records
 
 
-def _select_rows(table: LogTable, rows: np.ndarray) -> LogTable:
-    samples = {role: values[rows] for role, values in table.signals.items()}
+def _one_row_a_stamp(table: LogTable, rows: np.ndarray) -> LogTable:
+    samples = {
+        role: one_sample_a_stamp(values, table.time_s, rows, is_held=role in COMMAND.values())
+        for role, values in table.signals.items()
+    }
     return replace(table, time_s=table.time_s[rows], signals=samples)
 
 

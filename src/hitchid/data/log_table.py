@@ -6,10 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from hitchid._support.notices import Notice
 from hitchid._support.short_repr import short_repr
 from hitchid.data.clocks import SIGNED_COMMAND, resample_to_common_clock
 from hitchid.data.content import Content, LogChannel
+from hitchid.data.not_measured import without_unmeasured
 from hitchid.data.record import COMMAND, DISPLACEMENT, LIFTING, LOWERING
+from hitchid.data.resampling import unique_stamp_rows
 from hitchid.data.signal_map import DEFAULT_SIGNALS, DIMENSIONS, Column, SignalMap
 from hitchid.data.units import UNITS, parse_unit, unit_of_column
 from hitchid.errors import LogError
@@ -29,6 +32,7 @@ class LogTable:
         units: role to unit.
         columns: the columns they come from, in the order of the signal map.
         notices: messages on conversions, resampling and left-out samples.
+        not_measured: notices of samples that no sensor measured.
         line_of: from a sample to its line in the file, None for a format without lines.
     """
 
@@ -39,6 +43,7 @@ class LogTable:
     columns: Mapping[str, np.ndarray]
     notices: tuple[str, ...]
     line_of: Callable[[int], int | None]
+    not_measured: tuple[Notice, ...] = ()
 
 
 def table_of(content: Content, signals: SignalMap) -> LogTable:
@@ -49,7 +54,7 @@ def table_of(content: Content, signals: SignalMap) -> LogTable:
     refused. Channels with clocks of their own are resampled onto the slowest of them.
 
     Raises:
-        LogError: a unit is missing or contradictory, a sample is not finite, or the clocks do not overlap.
+        LogError: a unit is missing or contradictory, a channel holds no number, or the clocks do not overlap.
     """
     columns = _columns_by_role(signals, content)
     if TIME not in columns and signals.time.column != DEFAULT_SIGNALS.time.column:
@@ -65,7 +70,14 @@ def table_of(content: Content, signals: SignalMap) -> LogTable:
         notices += unit_notices
     time = converted.pop(TIME, None)
     names = {role: column.column for role, column in columns.items() if role != TIME}
+    given_time, line_of = time, content.line_of
+    time, converted, not_measured = without_unmeasured(content.source, time, converted, names, line_of)
+    if given_time is not None and time is None:
+        unique_stamp_rows(given_time.values, content.source, column=signals.time.column, line_of=line_of)
     time_s, sampled, clock_notices = resample_to_common_clock(content.source, time, converted, names)
+    if given_time is not None and time is None:
+        rows = np.searchsorted(given_time.values, time_s)
+        line_of = _line_of_rows(content, rows)
     split = _split_signed_command(sampled)
     return LogTable(
         source=content.source,
@@ -74,8 +86,13 @@ def table_of(content: Content, signals: SignalMap) -> LogTable:
         units={role: converted[role if role in converted else SIGNED_COMMAND].unit or "1" for role in split},
         columns={names[role]: values for role, values in sampled.items()},
         notices=(*notices, *clock_notices),
-        line_of=content.line_of,
+        line_of=line_of,
+        not_measured=tuple(not_measured),
     )
+
+
+def _line_of_rows(content: Content, rows: np.ndarray) -> Callable[[int], int | None]:
+    return lambda row: content.line_of(int(rows[row]))
 
 
 def _columns_by_role(signals: SignalMap, content: Content) -> dict[str, Column]:
@@ -95,7 +112,8 @@ def _convert_unit(content: Content, role: str, column: Column) -> tuple[LogChann
     """Return a channel as (reading − zero) · scale in the unit of the signal map, and the notices."""
     name, source = column.column, content.source
     channel = content.channels[name]
-    _check_finite(content, name)
+    if role == TIME:
+        _check_finite(content, name)
     file_unit = parse_unit(channel.unit or "")
     declared_unit = column.unit or file_unit or unit_of_column(name) or (None if role in DIMENSIONS else "1")
     if declared_unit is None:

@@ -333,6 +333,10 @@ def resampled(
 
 
 def held_rows(old_times_s: np.ndarray, new_times_s: np.ndarray) -> np.ndarray:
-    """Return the row whose value is held at each new time, with a tolerance of 2 % of a step, shape [M]."""
-    slack = GRID_TOLERANCE * float(np.median(np.diff(old_times_s))) if old_times_s.size > 1 else 0.0
+    """Return the row whose value is held at each new time, shape [M].
+
+    Tolerance: 2 % of a step of the finer time base, since a slow command must not come early.
+    """
+    steps_s = [float(np.median(np.diff(times))) for times in (old_times_s, new_times_s) if times.size > 1]
+    slack = GRID_TOLERANCE * min(steps_s, default=0.0)
     return np.maximum(np.searchsorted(old_times_s, new_times_s + slack, side="right") - 1, 0)

@@ -102,6 +102,33 @@ def unique_stamp_rows(time_s: np.ndarray, source: object, *, column: str, line_o
     return rows
 
 
+def one_sample_a_stamp(
+    values: np.ndarray, time_s: np.ndarray, rows: np.ndarray, *, is_held: bool
+) -> np.ndarray:
+    """Return one sample for each time stamp, shape [M].
+
+    Loggers that write an event of its own write two rows with one stamp: before and after a command changes.
+
+    Args:
+        values, time_s: samples and their time stamps, s, which do not decrease, shape [N].
+        rows: first row of each stamp, as `unique_stamp_rows` returns them, shape [M].
+        is_held: for a command, which is in force from its last row on; a measured signal takes the row
+            nearest to the line through the stamps before and after.
+    """
+    last_rows = np.append(rows[1:], time_s.size) - 1
+    if is_held or rows.size < 2:
+        return values[last_rows]
+    counts = last_rows - rows + 1
+    means, stamps = np.add.reduceat(values, rows) / counts, time_s[rows]
+    before, after = np.arange(rows.size) - 1, np.arange(rows.size) + 1
+    before[0], after[-1] = after[0], before[-1]  # at the ends the one neighbour there is
+    span = stamps[after] - stamps[before]
+    share = np.divide(stamps - stamps[before], span, out=np.zeros(rows.size), where=span > 0)
+    expected = means[before] + share * (means[after] - means[before])
+    error = np.abs(values - np.repeat(expected, counts))
+    return values[np.lexsort((error, np.repeat(stamps, counts)))[rows]]
+
+
 def sections(
     time_s: np.ndarray, commands: Mapping[str, np.ndarray], position: np.ndarray
 ) -> list[LogSection]:

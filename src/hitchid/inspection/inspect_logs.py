@@ -6,6 +6,7 @@ from pathlib import Path
 
 from hitchid.audit import audit, quality
 from hitchid.data.campaign import Campaign
+from hitchid.data.not_measured import NOT_MEASURED
 from hitchid.data.record import CYCLE, DIRECTIONS
 from hitchid.data.segmentation import CommandThreshold, segments
 from hitchid.data.test_kinds import full_scales
@@ -75,7 +76,12 @@ def inspect_campaign(campaign: Campaign, command_thresholds: ThresholdLookup | N
             )
             for record in campaign.records
         ),
-        notices=tuple(notice.at(record.name) for record in campaign.records for notice in record.notices),
+        notices=tuple(
+            notice.at(record.name)
+            for record in campaign.records
+            for notice in record.notices
+            if notice.code != NOT_MEASURED  # the audit finds it
+        ),
         findings=audit(campaign),
         left_out=campaign.left_out,
     )
