@@ -220,7 +220,12 @@ def test_a_load_that_no_log_has_is_refused_with_the_names_of_those_they_have(fiv
 
 @pytest.mark.parametrize(
     ("error", "stays"),
-    [(LogError("no"), False), (FitError("no"), True), (RuntimeError("bug"), True), (OutputError("full"), True)],
+    [
+        (LogError("no"), False),
+        (FitError("no"), True),
+        (RuntimeError("bug"), True),
+        (OutputError("full"), True),
+    ],
 )
 def test_a_run_that_failed_is_not_in_the_way_of_the_next(five, tmp_path, monkeypatch, error, stays):
     unfinished = tmp_path / "model.unfinished"
