@@ -159,10 +159,8 @@ def test_what_leaves_the_tests_is_told():
     assert live.process(full(0.01, lifting=zone + 0.39, displacement=149.0)).flags == ()
     for lifting, displacement in ((zone + 0.41, 100.0), (zone + 0.04, 100.0)):
         (flag,) = live.process(full(None, lifting=lifting, displacement=displacement)).flags
-        assert flag == (
-            f"outside: lifting_command {lifting:g}; the identified range is 0.05 to 0.4 A "
-            "beyond the dead zone"
-        )
+        ends = f"{zone + 0.05:.4g} to {zone + 0.4:.4g} A"
+        assert flag == f"outside: lifting_command {lifting:g}; the identified range is {ends}"
     (flag,) = live.process(full(None, displacement=151.0)).flags
     assert flag.startswith("outside: displacement 151; the identified range is 50 to 150 mm")
 
