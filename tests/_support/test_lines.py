@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from hitchid._support.lines import CHUNK_BYTES, lines
+from hitchid._support.lines import CHUNK_BYTES, CUT, MAX_LINE_BYTES, lines
 
 needs_posix = pytest.mark.skipif(os.name != "posix", reason="waiting for a stream needs POSIX")
 
@@ -72,3 +72,24 @@ def test_a_line_is_answered_before_the_next_one_begins(pipe):
     for number in range(3):
         send(f"{number}\n".encode())
         assert next(found) == str(number)
+
+
+@needs_posix
+@pytest.mark.parametrize("quiet_s", [0.0, 60.0])
+def test_a_line_without_end_is_read_in_linear_time_and_cut(pipe, quiet_s):
+    """64 MiB: had each chunk copied what came before it, 30 GB would be copied."""
+    stream, send = pipe
+    chunk = b"9" * CHUNK_BYTES
+
+    def send_all():
+        for _ in range(1024):
+            send(chunk)
+        send(b"\nnext\n" + b"x" * MAX_LINE_BYTES + b"\n")
+        send(None)
+
+    sender = threading.Thread(target=send_all)
+    sender.start()
+    first, second, third = lines(stream, quiet_s, never)
+    sender.join()
+    assert first == "9" * MAX_LINE_BYTES + CUT
+    assert (second, third) == ("next", "x" * MAX_LINE_BYTES)

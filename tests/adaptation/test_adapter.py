@@ -307,6 +307,32 @@ def test_a_rollback_is_gone_on_from(adapter, run):
     assert resumed.channels[LOWERING].snapshots == state.channels[LOWERING].snapshots
 
 
+@pytest.mark.parametrize("kind", [PROMOTED, MOVED, ROLLED_BACK])
+@pytest.mark.parametrize(
+    ("direction", "changes", "band", "said"),
+    [
+        (LIFTING, Changes(gain=700.0), 0.0, "has a gain of lifting beyond the largest change"),
+        (LIFTING, Changes(gain=math.log(0.49)), 0.0, "has a gain of lifting beyond the largest change"),
+        (LOWERING, Changes(dead_zone=-1.0), 0.0, "has a dead zone of lowering beyond the largest change"),
+        (LOWERING, Changes(lag=2.0), 0.0, "has a lag of lowering beyond the largest change"),
+        (LIFTING, Changes(), 710.0, "has a band of lifting beyond the largest change"),
+        ("liftin", Changes(gain=0.1), 0.0, "expected changes of lifting or lowering, got 'liftin'"),
+    ],
+)
+def test_a_log_whose_changes_are_beyond_the_bounds_is_not_gone_on_from(
+    adapter, kind, direction, changes, band, said
+):
+    event = Event(kind, 3.0, 2, direction, "", changes, (), {"band": band})
+    with pytest.raises(InputError, match=said):
+        adapter.resumed([event])
+
+
+@pytest.mark.parametrize("gain", [float(np.log1p(-0.5)), float(np.log1p(0.5))])
+def test_a_log_whose_changes_are_at_the_bounds_is_gone_on_from(adapter, gain):
+    event = Event(MOVED, 3.0, 2, LIFTING, "", Changes(gain=gain))
+    assert adapter.resumed([event]).changes[LIFTING] == event.changes
+
+
 @pytest.mark.parametrize("seed", [7, 11])
 def test_a_promotion_that_loses_is_rolled_back_within_one_stroke(adapter, seed):
     strokes = machine.strokes(20, seed=seed, scatter=SCATTER, changed_at=8, gain=1.15)

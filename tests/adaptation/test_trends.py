@@ -9,6 +9,7 @@ from hitchid.adaptation import Changes, Event
 from hitchid.adaptation.events import LEARNED, REFUSED
 from hitchid.adaptation.trends import STROKES_APART, trends
 from hitchid.data.record import LIFTING
+from hitchid.errors import InputError
 
 LIMITS = {"gain": 0.4, "dead_zone": 0.15}
 DEVIATION = {"gain": 0.01, "dead_zone": 0.003}
@@ -80,3 +81,11 @@ def test_a_leak_is_a_trend_of_its_own_without_a_limit_where_none_is_given():
 
 def test_few_strokes_have_no_trend():
     assert trends(change_log(0.0, 1.0, 1, strokes=4 * STROKES_APART), LIMITS) == ()
+
+
+@pytest.mark.parametrize("figures", [{}, {"gain": 0.1}, {"gain": 0.1, "gain_deviation": 0.0}])
+def test_an_entry_that_lacks_a_figure_is_named(figures):
+    events = change_log(0.0, 1.0, seed=1, strokes=60)
+    events[-1] = Event(LEARNED, 3600.0, 60, LIFTING, "", Changes(), (), figures)
+    with pytest.raises(InputError, match="events: 'learned' at 3600 s: expected the figures gain"):
+        trends(events, LIMITS)

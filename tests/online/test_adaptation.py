@@ -15,7 +15,7 @@ from hitchid.errors import InputError
 from hitchid.model.adjustable import numbers_of_models
 from hitchid.online import OnlineAdaptation
 from hitchid.online.adaptation_messages import stroke_message, stroke_of
-from hitchid.online.live import Live
+from hitchid.online.live import AGREEING, Live
 from machine import DIRECTIONS, STEP_S
 
 MODEL = handmade.with_bands(machine.MODEL, *DIRECTIONS)
@@ -128,7 +128,7 @@ def test_adapted_parameters_stay_after_a_restart_and_after_an_early_sample(monke
     parts = np.arange(40.0), 39.2 + np.arange(40.0), 5000.0 + np.arange(40.0)
     for number, time_s in enumerate(np.concatenate(parts) * model.step_s):
         sample = {"time_s": time_s, "lifting_command": 0.6, "lowering_command": 0.0}
-        line = json.dumps(sample if number % 40 else {**sample, "displacement": 100.0})
+        line = json.dumps({**sample, "displacement": 100.0} if number % 40 < AGREEING else sample)
         found, wanted = live.process(line).displacement, expected.process(line).displacement
         assert found == pytest.approx(wanted, rel=1e-9), number
         if number == 39:

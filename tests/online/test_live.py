@@ -14,7 +14,7 @@ import handmade
 from handmade import DEAD_ZONES, GAINS, STEP_S
 from hitchid.data.record import LIFTING
 from hitchid.errors import InputError
-from hitchid.online.live import CLOCK_SET_BACK_SAMPLES, FIELDS, MAX_GAP_SAMPLES, Live
+from hitchid.online.live import AGREEING, FIELDS, KEPT_S, MAX_GAP_SAMPLES, Live
 from truth import levels
 
 MODEL = handmade.hitch(compensated=True)
@@ -159,10 +159,8 @@ def test_what_leaves_the_tests_is_told():
     assert live.process(full(0.01, lifting=zone + 0.39, displacement=149.0)).flags == ()
     for lifting, displacement in ((zone + 0.41, 100.0), (zone + 0.04, 100.0)):
         (flag,) = live.process(full(None, lifting=lifting, displacement=displacement)).flags
-        assert flag == (
-            f"outside: lifting_command {lifting:g}; the identified range is 0.05 to 0.4 A "
-            "beyond the dead zone"
-        )
+        ends = f"{zone + 0.05:.4g} to {zone + 0.4:.4g} A"
+        assert flag == f"outside: lifting_command {lifting:g}; the identified range is {ends}"
     (flag,) = live.process(full(None, displacement=151.0)).flags
     assert flag.startswith("outside: displacement 151; the identified range is 50 to 150 mm")
 
@@ -195,32 +193,121 @@ def test_a_sample_out_of_order_is_not_taken_in(early):
     assert live.process(full(0.03)) == other.process(full(0.03))
 
 
-@pytest.mark.parametrize("early", [-STEP_S * (CLOCK_SET_BACK_SAMPLES + 2), -1e300])
-def test_a_clock_set_far_back_starts_anew(early):
-    live = Live(MODEL)
-    for k in range(3):
-        live.process(full(STEP_S * k))
-    begun = live.process(full(early, displacement=50.0))
-    assert said(begun, "the clock was set back")
-    assert begun.displacement == Live(MODEL).process(full(0.0, displacement=50.0)).displacement
+# --- clocks -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("gap_s", [STEP_S * (MAX_GAP_SAMPLES + 2), 1e15, 1e308])
-def test_after_too_long_a_gap_nothing_is_known_any_more(gap_s):
-    live = Live(MODEL)
-    live.process(full(0.0))
-    forgotten = live.process(sample(gap_s, LIFT, 0.0))
+def running(samples=40):
+    """Return a model that has had so many samples, and one that had the same."""
+    live, other = Live(MODEL), Live(MODEL)
+    for number in range(samples):
+        assert live.process(full(STEP_S * number)) == other.process(full(STEP_S * number))
+    return live, other
+
+
+@pytest.mark.parametrize("ahead_s", [99.0, 9.0, 1.2, 0.5, 0.03, 1e15, 1e308, -99.0, -1.2, -0.05, -1e300])
+@pytest.mark.parametrize("measured", [START, 1e6])
+def test_one_bad_stamp_costs_one_sample(ahead_s, measured):
+    live, other = running()
+    flags = live.process(full(0.4 + ahead_s, lifting=0.9, displacement=measured)).flags
+    assert any(word in flags[0] for word in ("doubtful", "late", "out of order"))
+    live.process(full(0.41))
+    other.process(full(0.41))
+    for number in range(42, 50):
+        assert live.process(full(STEP_S * number)) == other.process(full(STEP_S * number))
+
+
+def test_a_sample_that_was_overtaken_counts_and_that_which_overtook_it_does_not():
+    live, other = running(3)
+    assert said(live.process(full(0.05, lifting=0.0)), "late: 2 samples are missing before 0.05 s")
+    answer = live.process(full(0.03))
+    assert answer.flags == ("out of order: 0.03 s follows 0.05 s, which is left out",)
+    assert answer[:3] == other.process(full(0.03))[:3]
+
+
+@pytest.mark.parametrize("bad", [2, AGREEING - 1])
+def test_bad_stamps_that_agree_cost_themselves_alone(bad):
+    live, other = running()
+    for number in range(bad):
+        live.process(full(99.0 + STEP_S * number))
+    live.process(full(STEP_S * (40 + bad)))
+    other.process(full(STEP_S * (40 + bad)))
+    for number in range(41 + bad, 50):
+        assert live.process(full(STEP_S * number)) == other.process(full(STEP_S * number))
+
+
+@pytest.mark.parametrize("lines_of_noise", [1, 2000])
+def test_lines_that_are_no_samples_do_not_drive_the_clock_away(lines_of_noise):
+    live, _ = running()
+    for _ in range(lines_of_noise):
+        live.process("noise")
+    answers = [live.process(full(STEP_S * number)) for number in range(40, 45)]
+    assert not any(said(answer, "out of order") for answer in answers)
+    assert answers[-1].time_s == pytest.approx(0.45)
+
+
+@pytest.mark.parametrize("unstamped", [50, 200])
+def test_a_clock_goes_on_where_samples_came_without_one(unstamped):
+    live, _ = running()
+    for _ in range(unstamped):
+        live.process(sample(lifting=LIFT, lowering=0.0, displacement=START))
+    answers = [live.process(full(STEP_S * number)) for number in range(40, 45)]
+    assert [answer.time_s for answer in answers] == pytest.approx(STEP_S * np.arange(41, 46))
+    assert said(answers[0], "the clock was set back from") == (STEP_S * unstamped > KEPT_S)
+    assert answers[-1].flags == ()
+
+
+@pytest.mark.parametrize("jump_s", [99.0, 1.5, -0.7, -1.1, -99.0])
+@pytest.mark.parametrize("bad", [0, 1])
+def test_a_clock_that_jumps_is_followed_within_a_second(jump_s, bad):
+    """Also where every other stamp is a bad one of its own."""
+    live, _ = running()
+    for number in range(round(1.0 / STEP_S)):
+        stamp = 0.4 + jump_s + STEP_S * number
+        for _ in range(bad):
+            live.process(full(1e6 * (number + 1)))
+        answer = live.process(full(stamp))
+    assert (answer.flags, answer.mode) == ((), "lifting")
+    assert answer.time_s == pytest.approx(stamp + STEP_S)
+
+
+@pytest.mark.parametrize("first_s", [0.0, 1e9, 1e308, -1e5])
+@pytest.mark.parametrize("initial", [None, START])
+def test_a_stale_first_stamp_costs_two_samples(first_s, initial):
+    live = Live(MODEL, initial=initial)
+    live.process(full(first_s, displacement=None if initial else START))
+    answers = [
+        live.process(full(500 + STEP_S * number, displacement=None if initial else START))
+        for number in range(4)
+    ]
+    assert [bool(answer.flags) for answer in answers] == [True, True, False, False]
+    assert answers[-1].time_s == pytest.approx(500 + 4 * STEP_S)
+    assert answers[-1].displacement is not None
+
+
+def test_a_clock_set_far_back_starts_anew():
+    live, other = running()[0], Live(MODEL)
+    for number in range(AGREEING):
+        begun = live.process(full(-5000.0 + STEP_S * number, displacement=50.0))
+    assert said(begun, "the clock was set back from 0.4 s to -4999.96 s")
+    assert begun.displacement == other.process(full(0.0, displacement=50.0)).displacement
+
+
+def test_after_too_long_a_gap_nothing_is_known_any_more():
+    live = running()[0]
+    for number in range(AGREEING):
+        forgotten = live.process(sample(500.0 + STEP_S * number, LIFT, 0.0))
     assert (forgotten.displacement, forgotten.mode) == (None, "standing")
     assert said(forgotten, "late: ")
     assert said(forgotten, "waiting for an initial displacement")
-    begun = live.process(full(gap_s + STEP_S, displacement=70.0))
+    begun = live.process(full(500.0 + STEP_S * AGREEING, displacement=70.0))
     assert begun.displacement == Live(MODEL).process(full(0.0, displacement=70.0)).displacement
 
 
 def test_over_the_longest_gap_the_model_goes_on():
-    live = Live(MODEL)
-    live.process(full(0.0))
-    late = live.process(sample(STEP_S * (MAX_GAP_SAMPLES + 1), LIFT, 0.0))
+    live = running(2)[0]
+    for number in range(AGREEING):
+        late = live.process(sample(STEP_S * (MAX_GAP_SAMPLES + number - AGREEING), LIFT, 0.0))
+    assert said(late, "late: ")
     assert late.displacement is not None
     assert not said(late, "waiting for an initial displacement")
 

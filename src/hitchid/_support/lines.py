@@ -6,10 +6,14 @@ from collections.abc import Callable, Iterable, Iterator
 from io import TextIOWrapper
 
 CHUNK_BYTES = 1 << 16  # read at once; the size of a pipe on Linux
+MAX_LINE_BYTES = 1 << 20  # kept of a line, so that one without end does not fill the memory; chosen
+CUT = "\N{HORIZONTAL ELLIPSIS}"  # ends a line of which the rest was left out: whoever reads it can tell
 
 
 def lines(stream: Iterable[str], quiet_s: float, when_quiet: Callable[[], object]) -> Iterator[str]:
     """Yield the lines of a stream, each as soon as it is complete, without its end of line.
+
+    Of a line beyond 1 MiB the rest is left out, and its last character is an ellipsis.
 
     Where none came for a time, something is done once, before waiting for the next one. That is left out
     where the system cannot tell whether a stream has something to read: for files in memory, and on Windows.
@@ -22,20 +26,34 @@ def lines(stream: Iterable[str], quiet_s: float, when_quiet: Callable[[], object
     if isinstance(stream, TextIOWrapper):
         stream.reconfigure(encoding="utf-8", errors="replace")
     file = _descriptor(stream)
-    if file is None or quiet_s <= 0:
+    if file is None:
         yield from (line.rstrip("\n") for line in stream)
         return
-    begun = b""
+    begun = bytearray()
     while True:
-        if not select.select([file], [], [], quiet_s)[0]:
+        if quiet_s > 0 and not select.select([file], [], [], quiet_s)[0]:
             when_quiet()
         chunk = os.read(file, CHUNK_BYTES)
-        *complete, begun = (begun + chunk).split(b"\n")
-        yield from (line.decode(errors="replace") for line in complete)
+        *complete, rest = chunk.split(b"\n")
+        for end in complete:
+            _extend(begun, end)
+            yield _text(begun)
+            begun.clear()
+        _extend(begun, rest)
         if not chunk:
             if begun:
-                yield begun.decode(errors="replace")
+                yield _text(begun)
             return
+
+
+def _extend(line: bytearray, more: bytes) -> None:
+    """Add bytes to a line, one more than are kept at most: each byte is copied once, however long it is."""
+    line += more[: MAX_LINE_BYTES + 1 - len(line)]
+
+
+def _text(line: bytearray) -> str:
+    text = line[:MAX_LINE_BYTES].decode(errors="replace")
+    return text if len(line) <= MAX_LINE_BYTES else f"{text}{CUT}"
 
 
 def _descriptor(stream: Iterable[str]) -> int | None:

@@ -101,7 +101,16 @@ class Adapter:
         return self.resumed(())
 
     def resumed(self, events: Sequence[Event]) -> AdapterState:
-        """Return the state after the events of a change log; its model is that of the log, bit for bit."""
+        """Return the state after the events of a change log; its model is that of the log, bit for bit.
+
+        Raises:
+            InputError: an entry changes a channel that the model lacks, or beyond its bounds.
+        """
+        for event in events:
+            if event.direction not in self._channels and event.changes != Changes():
+                raise InputError(
+                    f"change log: expected changes of {' or '.join(self._channels)}, got {event.direction!r}"
+                )
         channels = {
             direction: learner.resumed([event for event in events if event.direction == direction])
             for direction, learner in self._channels.items()

@@ -9,7 +9,7 @@ from hitchid.adaptation.bounds import Bounds
 from hitchid.adaptation.change_detection import alarm_threshold
 from hitchid.adaptation.channel_estimates import ChannelEstimates
 from hitchid.adaptation.channel_state import ChannelState, Numbered, Trial
-from hitchid.adaptation.conformal import BandFactor
+from hitchid.adaptation.conformal import LARGEST, BandFactor
 from hitchid.adaptation.estimator import Estimate
 from hitchid.adaptation.events import (
     AT_LIMIT,
@@ -31,6 +31,7 @@ from hitchid.adaptation.speed_limit import speed_limit
 from hitchid.adaptation.stroke_errors import StrokeErrors, StrokeFit, StrokeRuns
 from hitchid.adaptation.stroke_scatter import scatter_after, speed_distance
 from hitchid.adaptation.strokes import Stroke
+from hitchid.errors import InputError
 
 # Standard deviations from the estimate beyond which a stroke is suspected; chosen after a log of the nominal
 # bench, where of 185 strokes that the starved pump did not affect none was beyond 2.
@@ -85,10 +86,21 @@ class ChannelAdaptation:
         return float(np.sqrt(runs.mean_squares[0]))
 
     def resumed(self, events: Sequence[Event]) -> ChannelState:
-        """Return the state after the events of this channel in a change log, with nothing else learned."""
+        """Return the state after the events of this channel in a change log, with nothing else learned.
+
+        Raises:
+            InputError: an entry puts a parameter, or the factor on the bands, beyond its bounds.
+        """
         snapshots, deployed, band = [Changes()], Changes(), BandFactor()
         for event in events:
             band = BandFactor(event.figures.get("band", band.log))
+            beyond = self._bounds.beyond(np.array(event.changes)) or "band" * (abs(band.log) > LARGEST)
+            if beyond:
+                raise InputError(
+                    f"change log: '{event.kind}' at {event.time_s:g} s has a {beyond} of {event.direction} "
+                    "beyond the largest change; it was edited, or written with other settings: use those, or "
+                    "a new change log"
+                )
             if event.kind == PROMOTED:
                 snapshots = [*snapshots, event.changes][-MOST_SNAPSHOTS:]
             elif event.kind == ROLLED_BACK:

@@ -4,6 +4,9 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from typing import Annotated
+
+from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter
 
 from hitchid._support.short_repr import short_repr
 from hitchid.adaptation.parameters import Changes
@@ -11,8 +14,20 @@ from hitchid.adaptation.parameters import Changes
 LEARNED, REFUSED, FAULT, CANDIDATE, DROPPED = "learned", "refused", "fault", "candidate", "dropped"
 PROMOTED, MOVED, ROLLED_BACK = "promoted", "moved", "rolled back"
 CHANGE_DETECTED, AT_LIMIT = "change detected", "at limit"
+KINDS = (
+    *(LEARNED, REFUSED, FAULT, CANDIDATE, DROPPED, PROMOTED, MOVED, ROLLED_BACK),
+    *(CHANGE_DETECTED, AT_LIMIT),
+)
+LONGEST_S, MOST_STROKES = 1e10, 10**9  # of a change log: three hundred years, a stroke every ten seconds
 # Kinds that are reported to the user at once.
 REPORTED = (PROMOTED, ROLLED_BACK, CHANGE_DETECTED, AT_LIMIT, FAULT)
+
+
+def _whole(changes: object) -> object:
+    """Return changes as they are read, after a check that none is missing: it would count as zero."""
+    if isinstance(changes, Mapping) and set(changes) != set(Changes._fields):
+        raise ValueError(f"expected {', '.join(Changes._fields)}")
+    return changes
 
 
 @short_repr
@@ -34,12 +49,14 @@ class Event:
             after a standstill: the leak.
     """
 
+    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
+
     kind: str
-    time_s: float
-    stroke: int
+    time_s: Annotated[float, Field(ge=0, le=LONGEST_S)]
+    stroke: Annotated[int, Field(ge=0, le=MOST_STROKES)]
     direction: str
     reason: str
-    changes: Changes
+    changes: Annotated[Changes, BeforeValidator(_whole)]
     strokes: tuple[int, ...] = ()
     figures: Mapping[str, float] = field(default_factory=dict)
 
@@ -61,15 +78,19 @@ class Event:
         )
 
     @classmethod
-    def from_json(cls, line: str) -> "Event":
+    def from_json(cls, line: str | bytes) -> "Event":
         """Return the entry of a line.
 
         Raises:
-            ValueError, KeyError, TypeError: the line is no entry.
+            ValueError: the line is no entry.
         """
-        content = json.loads(line)
-        changes = Changes(**{name: float(value) for name, value in content["changes"].items()})
-        return cls(**{**content, "changes": changes, "strokes": tuple(content["strokes"])})
+        event = _ENTRY.validate_json(line, strict=True)
+        if event.kind not in KINDS:
+            raise ValueError(f"kind: expected one of {', '.join(KINDS)}, got {event.kind!r}")
+        return event
+
+
+_ENTRY = TypeAdapter(Event)
 
 
 def last_sample(events: Sequence[Event], step_s: float) -> int:

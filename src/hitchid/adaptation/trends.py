@@ -8,6 +8,7 @@ from scipy.special import stdtrit
 
 from hitchid._support.short_repr import short_repr
 from hitchid.adaptation.events import LEARNED, Event
+from hitchid.errors import InputError
 
 FEWEST = 5  # estimates from which a trend is fitted; chosen
 STROKES_APART = 8  # of a direction between two estimates, so that they share no stroke: the window's length
@@ -55,6 +56,9 @@ def trends(events: Sequence[Event], limits: Mapping[str, float]) -> tuple[Trend,
         events: change log, of one start of the adaptation.
         limits: parameter to its largest value either way: logarithm for the gain, the command's unit for the
             dead zone, the displacement's unit/s for the leak; one that is missing has no limit.
+
+    Raises:
+        InputError: an entry lacks a figure, or has a standard deviation that is not positive.
     """
     learned = [event for event in events if event.kind == LEARNED]
     found = []
@@ -69,6 +73,12 @@ def trends(events: Sequence[Event], limits: Mapping[str, float]) -> tuple[Trend,
 
 
 def _trend(direction: str, parameter: str, events: Sequence[Event], limits: Mapping[str, float]) -> Trend:
+    for event in events:
+        if parameter not in event.figures or not event.figures.get(f"{parameter}_deviation", 0.0) > 0:
+            raise InputError(
+                f"events: '{event.kind}' at {event.time_s:g} s: expected the figures {parameter}, and "
+                f"{parameter}_deviation above 0"
+            )
     hours = np.array([event.time_s for event in events]) / 3600
     values, deviations = (
         np.array([event.figures[name] for event in events]) for name in (parameter, f"{parameter}_deviation")

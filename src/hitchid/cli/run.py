@@ -1,6 +1,7 @@
 """`hitchid run`: online prediction, sample by sample from standard input."""
 
 import sys
+from collections import Counter
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,9 +12,11 @@ from hitchid._support.compilation import prepare_jax
 from hitchid._support.lines import lines
 from hitchid._support.storage import check_folder
 from hitchid.cli.options import Force, Loads, loads_of
+from hitchid.cli.terminal import show_adaptation
 from hitchid.errors import InputError
 
 if TYPE_CHECKING:
+    from hitchid.adaptation import Event
     from hitchid.online import Live
 
 REHEARSAL_S = 2e-3  # s before a sample is due; a rehearsal takes about half of it (measured)
@@ -55,15 +58,23 @@ def run(
     identified, loads = load_model(model), loads_of(load)
     with ExitStack() as stack:
         adaptation = None
+        counts: Counter[tuple[str, str]] = Counter()
         if adapt:
             log = None if changes is None else stack.enter_context(closing(ChangeLog(changes, identified)))
+
+            def take(event: "Event") -> None:
+                counts[event.direction, event.kind] += 1
+                if log is not None:
+                    log.write(event)
+
             adaptation = OnlineAdaptation(
-                identified, load=loads, log=log and log.write, earlier=log.earlier if log else ()
+                identified, load=loads, log=take, earlier=log.earlier if log else ()
             )
         live = Live(identified, initial=initial, load=loads, adaptation=adaptation)
         _answer_lines(live, identified.step_s)
         if adaptation is not None:
             adaptation.finish()
+            show_adaptation(identified, adaptation.changes, counts)
             if save is not None:
                 save_model(adaptation.model, save, force=force)
 

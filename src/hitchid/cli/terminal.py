@@ -1,7 +1,8 @@
 """Terminal output: tables, verdicts, notices."""
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from math import expm1
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING
@@ -11,9 +12,11 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 from hitchid._support.progress_display import progress as progress
+from hitchid.data.record import COMMAND
 from hitchid.data.segmentation import LABELS
 
 if TYPE_CHECKING:
+    from hitchid.adaptation import Changes
     from hitchid.audit import AuditFinding
     from hitchid.control import Limitation, Tuning
     from hitchid.data.campaign import Campaign
@@ -190,6 +193,30 @@ def _parameters(direction: str, unit: str, trace: "ChannelTrace") -> RichTable:
             estimate.symbol or estimate.name.replace("_", " "), value, estimate.unit, estimate.verdict
         )
     return table
+
+
+def show_adaptation(
+    model: "Hitch", changes: "Mapping[str, Changes]", counts: "Mapping[tuple[str, str], int]"
+) -> None:
+    """Write to stderr what an adaptation has come to; stdout has the predictions.
+
+    Args:
+        model: as identified.
+        changes: direction to the changes in use.
+        counts: direction and kind of event to the number of events.
+    """
+    from hitchid.adaptation import REPORTED, Changes
+    from hitchid.adaptation.events import LEARNED, REFUSED
+
+    strokes = [sum(n for (_, kind), n in counts.items() if kind == kept) for kept in (LEARNED, REFUSED)]
+    sys.stderr.write(f"adaptation: {strokes[0]} strokes learned from, {strokes[1]} refused\n")
+    for direction, change in changes.items():
+        gain, lag = (f"{100 * expm1(value):+.3g} %" for value in (change.gain, change.lag))
+        dead_zone = f"{change.dead_zone:+.3g} {model.units[COMMAND[direction]]}"
+        parameters = f"gain {gain}, dead zone {dead_zone}, lag {lag}"
+        events = [f"{counts[direction, kind]} {kind}" for kind in REPORTED if (direction, kind) in counts]
+        state = "as identified" if change == Changes() else parameters
+        sys.stderr.write(f"{direction}: {'; '.join([state, *events])}\n")
 
 
 def show_advice(advice: "Advice", model: "Hitch") -> None:

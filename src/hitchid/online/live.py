@@ -20,11 +20,14 @@ from hitchid.online.range_check import RangeCheck
 TIME = "time_s"
 FIELDS = (TIME, *COMMAND.values(), DISPLACEMENT)
 MAX_GAP_SAMPLES = 1000  # longest gap that is simulated, 10 s at 100 Hz; a longer one restarts; chosen
-CLOCK_SET_BACK_SAMPLES = 10_000  # a time stamp earlier by more means that the clock was set back; chosen
-HISTORY_LENGTH = 100  # states kept, in samples: the latest steps that a late sample may replace; chosen
+# s of the latest states, which are kept: steps within it can be taken back. A stamp that jumps farther is not
+# believed alone: what is simulated on its word could not be taken back where it is wrong. Chosen.
+KEPT_S = 1.0
+AGREEING = 5  # samples in a row whose clock is followed although it jumps: 0.05 s at 100 Hz; chosen
 STANDING = "standing"  # `Output.mode` before any channel was active
 DIGITS = 9  # decimals of `Output.time_s`: 1 ns, removes rounding errors
 MAX_MAGNITUDE = 1e9  # a command or displacement beyond it, in its unit, is taken as missing; chosen
+MAX_SHOWN = 80  # characters of names in a flag; chosen
 
 Sample = Mapping[str, float]
 
@@ -56,7 +59,9 @@ class Live:
     The model has its own clock, which starts at the first sample. Each sample is assigned to the nearest
     sampling time; a second one for the same time replaces the first. A missing command keeps its last value;
     without a measured displacement the model simulates from the commands. Steps without a sample are
-    simulated; samples out of order are ignored. Functions are compiled before the first sample.
+    simulated; samples out of order are ignored. A sample that left a gap is taken back where the next one
+    belongs into that gap. A clock that jumps by more than a second is followed once five samples agree.
+    Functions are compiled before the first sample.
 
     With an adaptation `learn` is to be called after each output, once that is on its way; where it was not,
     the next sample begins with it.
@@ -89,12 +94,16 @@ class Live:
         self._displacement = initial
         self._state = None if initial is None else self._init_state(initial)
         self._origin_s: float | None = None
-        self._latest_s = -math.inf
+        self._latest_s = self._settled_s = -math.inf  # latest time stamp, and latest that is not taken back
         self._steps = 0
-        self._history: deque[tuple[Packed | None, Sample]] = deque(maxlen=HISTORY_LENGTH)
+        self._most_taken_back = max(1, round(KEPT_S / model.step_s))
+        # Two more: the sample before a gap, and the one after it.
+        self._history: deque[tuple[Packed | None, Sample]] = deque(maxlen=self._most_taken_back + 2)
+        self._unused_s: deque[float] = deque(maxlen=2 * AGREEING)
         self._measured = False
         self._line = ""
-        self._unlearned: Sample | None = None
+        self._unlearned: list[Sample] = []
+        self._doubted: list[Sample] = []  # the same where the next sample may take them back
         self._learned: list[str] = []
         self._range_check = RangeCheck(model)
         state, _ = self._stepped.step(self._init_state(0.0), np.zeros(len(DIRECTIONS)), math.nan)
@@ -105,33 +114,46 @@ class Live:
         self.learn()
         self._line = line
         sample, flags = _parse(line)
-        stamp = sample.get(TIME, math.nan)
+        if sample is None and KEPT_S < self._next_sample_s - self._latest_s < math.inf:
+            # However many lines are no samples, they don't drive the clock away from that of the samples.
+            return self._output(flags)
+        sample = sample or {}
+        stamp, before_s = sample.get(TIME, math.nan), self._latest_s
         stamped = math.isfinite(stamp)
         time_s = stamp if stamped else self._next_sample_s
-        if self._origin_s is None or (stamped and self._latest_s == -math.inf):
+        if self._origin_s is None or (stamped and before_s == -math.inf):
             self._set_clock(time_s)
         offset = _round_samples((time_s - self._next_sample_s) / self._model.step_s)
-        if offset < -CLOCK_SET_BACK_SAMPLES:
-            flags.append(f"the clock was set back from {self._latest_s:g} s: the model restarts")
-            self._reset(time_s)
-            offset = 0
-        elif offset < 0 and (stamp <= self._latest_s or -offset > len(self._history)):
-            return self._output([*flags, f"out of order: {stamp:g} s follows {self._latest_s:g} s"])
-        elif offset > 0:
+        doubtful = stamped and self._is_doubtful(stamp, offset)
+        if doubtful and not self._is_agreed(stamp):
+            doubt = "out of order" if stamp <= before_s else "doubtful"
+            return self._output([*flags, f"{doubt}: {stamp:g} s follows {before_s:g} s"])
+        skipped, replaced = [], {}
+        if offset > 0:
             flags.append(f"late: {offset} samples are missing before {time_s:g} s")
-            self._fill_gap(offset, time_s)
-        replaced = self._undo_steps(-offset) if offset < 0 else {}
+            skipped = self._fill_gap(offset, sample)
+        elif offset < 0 and (doubtful or -offset > len(self._history)):
+            flags.append(f"the clock was set back from {self._next_sample_s:g} s to {stamp:g} s")
+            self._follow_clock(-offset, sample)
+        elif offset < 0:
+            if stamp < before_s:
+                flags.append(f"out of order: {stamp:g} s follows {before_s:g} s, which is left out")
+                self._doubted.clear()
+            replaced = self._undo_steps(-offset)
         if TIME in replaced:
             flags.append(
                 f"early: the samples at {replaced[TIME]:g} s and {time_s:g} s are in the same "
                 f"sampling step; the sample at {time_s:g} s is used"
             )
-        if stamped:
-            self._latest_s = stamp
         merged = {**replaced, **sample}
         self._step(merged)
-        if not replaced:
-            self._unlearned = merged
+        self._unlearned += self._doubted
+        self._doubted = [*skipped, merged] if not replaced else []
+        if stamped:
+            self._latest_s = stamp
+            self._unused_s.clear()
+        if offset <= 0 or doubtful:
+            self._settle()
         flags += self._learned
         self._learned = []
         if self._state is not None:
@@ -140,9 +162,9 @@ class Live:
 
     def learn(self) -> None:
         """Learn from the latest sample; what changes by it takes effect, and is a flag, with the next one."""
-        if self._unlearned is not None:
-            self._adapt(self._unlearned)
-            self._unlearned = None
+        unlearned, self._unlearned = self._unlearned, []
+        for sample in unlearned:
+            self._adapt(sample)
 
     def rehearse(self) -> None:
         """Compute the latest sample once more, without effect.
@@ -166,19 +188,47 @@ class Live:
         self._origin_s, self._steps, self._latest_s = time_s, 0, -math.inf
         self._history.clear()
 
-    def _reset(self, time_s: float) -> None:
-        """Set the model's clock and discard the state until the next measured displacement."""
-        self._set_clock(time_s)
-        self._state = self._displacement = None
+    def _is_doubtful(self, stamp: float, offset: int) -> bool:
+        """Return whether a time stamp alone is not believed: from the past, or far ahead."""
+        if offset >= 0:
+            return offset > self._most_taken_back
+        return stamp <= self._settled_s or stamp == self._latest_s
 
-    def _fill_gap(self, samples: int, time_s: float) -> None:
-        """Simulate over missing samples; reset after more than `MAX_GAP_SAMPLES`."""
+    def _is_agreed(self, stamp: float) -> bool:
+        """Return whether the clock of a doubtful sample is that of the latest unused ones.
+
+        Samples that are a little late make no other clock: those after them are on time within a second.
+        """
+        if abs(stamp - self._latest_s) <= KEPT_S:
+            return False
+        longest_s = MAX_GAP_SAMPLES * self._model.step_s
+        agreeing = sum(0 < stamp - unused_s <= longest_s for unused_s in self._unused_s)
+        self._unused_s.append(stamp)
+        # A clock that a single sample has set is worth no more than that of another one.
+        return agreeing >= (AGREEING - 1 if self._steps > 1 else 1)
+
+    def _settle(self) -> None:
+        """Let the latest sample count whatever the next one is."""
+        self._settled_s = self._latest_s
+        self._unlearned += self._doubted
+        self._doubted = []
+
+    def _follow_clock(self, samples: int, sample: Sample) -> None:
+        """Set the clock to that of a sample; after a long time nothing but that sample is known."""
+        alone = self._steps <= 1 and not math.isfinite(sample.get(DISPLACEMENT, math.nan))
+        self._set_clock(sample[TIME])
+        if samples > MAX_GAP_SAMPLES and not alone:
+            self._state = self._displacement = None
+
+    def _fill_gap(self, samples: int, sample: Sample) -> list[Sample]:
+        """Simulate over missing samples, and return them; restart after more than `MAX_GAP_SAMPLES`."""
         if samples > MAX_GAP_SAMPLES:
-            self._reset(time_s)
-            return
-        for _ in range(samples):
-            self._step({})
-            self._adapt({})
+            self._follow_clock(samples, sample)
+            return []
+        missing: list[Sample] = [{} for _ in range(samples)]
+        for empty in missing:
+            self._step(empty)
+        return missing
 
     def _undo_steps(self, samples: int) -> Sample:
         """Undo the latest steps; return the sample of the first of them."""
@@ -247,17 +297,16 @@ class Live:
         return Output(time_s, self._displacement, direction, tuple(flags))
 
 
-def _parse(line: str) -> tuple[dict[str, float], list[str]]:
-    """Return the numbers of one line, and flags for what cannot be used."""
+def _parse(line: str) -> tuple[dict[str, float] | None, list[str]]:
+    """Return the numbers of one line, None where it is no sample, and flags for what cannot be used."""
     try:
         content = json.loads(line)
     except (ValueError, RecursionError):
-        return {}, ["not understood: the line is not JSON"]
+        return None, ["not understood: the line is not JSON"]
     if not isinstance(content, dict):
-        return {}, ['not understood: expected an object like {"time_s": 0.01, "lifting_command": 0.5}']
-    flags = [
-        f"not known: '{name}'; expected one of {', '.join(FIELDS)}" for name in content if name not in FIELDS
-    ]
+        return None, ['not understood: expected an object like {"time_s": 0.01, "lifting_command": 0.5}']
+    unknown = ", ".join(f"'{name:.{MAX_SHOWN}}'" for name in content if name not in FIELDS)
+    flags = [f"not known: {unknown:.{MAX_SHOWN}}; expected one of {', '.join(FIELDS)}"] if unknown else []
     sample = {}
     for name in FIELDS:
         value = content.get(name)

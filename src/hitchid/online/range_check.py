@@ -62,5 +62,10 @@ def _covered(model: Hitch, direction: str) -> _Covered:
         (float(signal_range.lowest), float(signal_range.highest))
         for signal_range in (channel.operating_range.command, channel.operating_range.displacement)
     )
-    texts = {name: model.describe_range(direction, name) for name in ("command", DISPLACEMENT)}
+    # As the command that it is said of, not beyond the dead zone as it is kept.
+    ends = " to ".join(f"{channel.dead_zone + end:.4g}" for end in command)
+    texts = {
+        "command": f"{ends} {model.units.get(COMMAND[direction], '')}",
+        DISPLACEMENT: model.describe_range(direction, DISPLACEMENT),
+    }
     return _Covered(channel.dead_zone, command, displacement, texts)
