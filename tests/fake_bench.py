@@ -1,9 +1,12 @@
 """A bench in plain Python for tests of the bench loop: dead zones, gains, and a lag of the speed."""
 
+import threading
+
 import numpy as np
 
 from hitchid.errors import InputError
 from hitchid.hmi import Signal
+from hitchid.hmi.disk import Disk
 from hitchid.hmi.limits import Limits
 from hitchid.hmi.source import Reading
 
@@ -74,6 +77,16 @@ class Machine(Plant):
 
     def __init__(self):
         super().__init__(virtual=False)
+
+
+class DiskAtOnce(Disk):
+    """A disk that has written whatever it is handed before the next line of a test."""
+
+    def put(self, write):
+        done = threading.Event()
+        super().put(write)
+        super().put(done.set)
+        assert done.wait(60.0)
 
 
 class Bench:

@@ -3,7 +3,7 @@
 import pytest
 
 import fake_bench
-from fake_bench import LIMITS_FILE, Bench, Plant
+from fake_bench import LIMITS_FILE, Bench, DiskAtOnce, Plant
 from hitchid.hmi.bench_loop import BenchLoop
 
 
@@ -16,6 +16,7 @@ def make_bench(tmp_path, monkeypatch):
         plant = plant or Plant()
         monkeypatch.setattr(fake_bench, "made", lambda: plant, raising=False)
         limits_file = tmp_path / "limits.toml" if limits else None
+        options = {"disk": DiskAtOnce(), **options}
         bench = Bench(BenchLoop(tmp_path, limits_file=limits_file, **options), plant)
         bench.ask("connect", source="fake_bench:made")
         return bench

@@ -5,6 +5,7 @@ import errno
 import json
 import os
 import re
+import threading
 import time
 from pathlib import Path
 
@@ -16,8 +17,8 @@ from hypothesis import strategies as st
 import fake_bench
 from fake_bench import STEP_S, Machine, Plant
 from hitchid.errors import InputError
-from hitchid.hmi import bench_loop, connected_source, recorder
-from hitchid.hmi.bench_loop import BenchLoop
+from hitchid.hmi import bench_loop, connected_source, disk, recorder
+from hitchid.hmi.bench_loop import LATEST_S, BenchLoop
 from hitchid.hmi.program import Step
 from hitchid.hmi.recorder import Recorder
 from hitchid.hmi.safety import State
@@ -107,7 +108,7 @@ def bench_with(patch, plant, commands):
     """Return a bench whose run asks for given commands, or raises one that is an error; nothing is logged."""
 
     class Asked:
-        step, plan, displacement = Step(np.zeros(2), "test"), None, 100.0
+        step, plan, displacement, has_folder = Step(np.zeros(2), "test"), None, 100.0, True
 
         def __init__(self, *_):
             self.target, self._rest = None, list(commands)
@@ -309,6 +310,61 @@ def test_a_full_disk_stops_the_run_and_closes_its_logs(
     assert_closed(bench)
     assert bench.loop.describe()["recording"] is None
     assert wait_until(lambda: not open_logs(tmp_path))
+
+
+@pytest.mark.parametrize("frozen", ["mkdir", "open", "write"])
+def test_a_frozen_disk_holds_up_no_tick_and_ends_the_run(make_bench, write_test, monkeypatch, frozen):
+    plan, now_s, thawed = write_test(), [0.0], threading.Event()
+    monkeypatch.setattr(disk.time, "monotonic", lambda: now_s[0])
+    frozen_call = getattr(os, frozen)
+    monkeypatch.setattr(os, frozen, lambda *given, **named: thawed.wait(60) and frozen_call(*given, **named))
+    try:
+        bench = make_bench(disk=disk.Disk())
+        bench.run(**plan)
+        bench.tick(100)  # none of which would return, were the disk waited for
+        bench.ask("record", on=True)
+        bench.tick(10)
+        assert bench.state is State.RUNNING
+        now_s[0] += disk.LONGEST_WAIT_S + 1.0
+        sent = len(bench.plant.sent)
+        bench.tick()
+        assert bench.plant.sent[sent:] == [CLOSED]
+        assert "the disk has taken nothing for 2 s" in bench.reason
+        assert_closed(bench)
+        assert bench.loop.describe()["recording"] is None
+    finally:
+        thawed.set()
+
+
+@pytest.mark.parametrize("late_s", [0.05, 0.2, 3.0])
+def test_a_tick_that_comes_late_ends_the_run_of_a_machine(make_bench, write_test, late_s):
+    bench = make_bench(Machine(), allow_output=True)
+    bench.run(**write_test())
+    bench.tick(20)
+    bench.now_s += late_s
+    sent = len(bench.plant.sent)
+    bench.tick()
+    if late_s > LATEST_S:
+        assert bench.plant.sent[sent:] == [CLOSED]
+        assert f"late by {late_s:.2g} s" in bench.reason
+        assert_closed(bench)
+    else:
+        assert bench.plant.sent[-1] == (0.6, 0.0)
+
+
+@pytest.mark.parametrize("late_s", [0.4, 3.0])
+def test_a_virtual_bench_may_be_as_late_as_a_server_may_be_silent(make_bench, write_test, late_s):
+    bench = make_bench()
+    bench.run(**write_test())
+    bench.tick(20)
+    bench.now_s += late_s
+    bench.tick()
+    assert bench.state is (State.RUNNING if late_s < bench_loop.LONGEST_SILENCE_S else State.STOPPED)
+    bench.ask("stop")
+    bench.ask("reset")
+    bench.now_s += 10.0  # nothing moves, nothing is late
+    bench.tick()
+    assert bench.state is State.IDLE
 
 
 def wait_until(condition, longest_s=10.0):

@@ -1,5 +1,6 @@
 """Links open once and for an hour; sessions are bounded; the command says what it needs."""
 
+import os
 import socket
 import sys
 
@@ -8,7 +9,7 @@ import pytest
 pytest.importorskip("starlette")
 
 from hitchid import cli
-from hitchid.hmi import guard
+from hitchid.hmi import guard, project
 from hitchid.hmi.guard import LINK_S, MOST_SESSIONS, Sessions
 
 
@@ -34,14 +35,37 @@ def test_each_link_and_each_session_is_another():
     tokens = [sessions.new_link() for _ in range(20)]
     opened = [sessions.redeem(token) for token in tokens]
     assert len({*tokens, *opened}) == 40
-    assert all(map(sessions.is_known, opened))
-    assert not any(map(sessions.is_known, [*tokens, "", "é", opened[0][:-1]]))
+    assert list(map(sessions.known, opened)) == opened
+    assert not any(map(sessions.known, [*tokens, "", "é", "\ud800", opened[0][:-1]]))
 
 
-def test_the_oldest_session_ends_with_one_too_many():
+@pytest.mark.parametrize("token", ["\ud800", "é", "\0", "", "a" * 10**6])
+def test_a_guess_is_refused_and_uses_up_no_link(token):
     sessions = Sessions()
-    opened = [sessions.redeem(sessions.new_link()) for _ in range(MOST_SESSIONS + 1)]
-    assert [sessions.is_known(session) for session in opened] == [False] + [True] * MOST_SESSIONS
+    link = sessions.new_link()
+    assert sessions.redeem(token) is None
+    assert sessions.redeem(link)
+
+
+def test_with_one_too_many_the_session_ends_that_was_used_longest_ago_and_has_no_page():
+    sessions = Sessions()
+    operator, *viewers = [sessions.redeem(sessions.new_link()) for _ in range(MOST_SESSIONS)]
+    sessions.connect(operator)
+    sessions.known(viewers[0])
+    assert sessions.redeem(sessions.new_link())
+    told = [sessions.known(session) is not None for session in (operator, *viewers)]
+    assert told == [True, True, False] + [True] * (MOST_SESSIONS - 3)
+
+
+def test_no_session_ends_whose_page_is_connected():
+    sessions = Sessions()
+    opened = [sessions.redeem(sessions.new_link()) for _ in range(MOST_SESSIONS)]
+    for session in opened:
+        sessions.connect(session)
+    assert sessions.redeem(sessions.new_link()) is None
+    sessions.disconnect(opened[7])
+    assert sessions.redeem(sessions.new_link())
+    assert [sessions.known(session) for session in opened].count(None) == 1
 
 
 @pytest.fixture
@@ -72,6 +96,22 @@ def test_a_project_that_is_no_folder_is_refused(refused):
 def test_wrong_limits_are_refused_before_anything_is_served(refused, tmp_path):
     (tmp_path / "limits.toml").write_text("lifting_command = -1\n")
     assert "lifting_command" in refused("--limits", "limits.toml")
+
+
+def test_a_project_that_is_served_already_is_refused_with_its_address(refused, tmp_path):
+    assert project.lock(tmp_path, "http://127.0.0.1:8123/") is not None  # until this process ends
+    assert "is served already, at http://127.0.0.1:8123/; open that, or end it first" in refused(".")
+
+
+def test_a_project_is_free_again_when_its_server_has_ended_and_a_lock_is_not_followed(tmp_path):
+    os.close(project.lock(tmp_path, "http://127.0.0.1:8123/"))
+    file = project.lock(tmp_path, "http://127.0.0.1:1/")
+    assert (tmp_path / project.LOCK_FILE).read_text() == "http://127.0.0.1:1/"
+    os.close(file)
+    (tmp_path / project.LOCK_FILE).unlink()
+    (tmp_path / project.LOCK_FILE).symlink_to(tmp_path / "elsewhere")
+    assert project.lock(tmp_path, "") is None
+    assert not (tmp_path / "elsewhere").exists()
 
 
 def test_a_port_that_is_taken_is_refused(refused):

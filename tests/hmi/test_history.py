@@ -89,7 +89,7 @@ def test_a_block_of_the_bench_loop_is_read_back():
 
 def test_the_first_page_is_the_operator_and_others_only_after_it():
     clients = Clients()
-    first, second = clients.add(), clients.add()
+    first, second = clients.add("a"), clients.add("b")
     assert clients.operator == first.name
     assert not clients.claim(second)
     assert clients.claim(first)
@@ -109,7 +109,7 @@ def test_there_is_never_more_than_one_operator_and_it_is_connected(events):
     for event, number in events:
         connected = list(clients)
         if event == "add":
-            clients.add()
+            clients.add("a")
         elif connected:
             getattr(clients, event)(connected[number % len(connected)])
         assert clients.operator is None or clients.operator in {client.name for client in clients}
@@ -117,7 +117,7 @@ def test_there_is_never_more_than_one_operator_and_it_is_connected(events):
 
 def test_a_page_that_does_not_read_costs_a_bounded_number_of_messages():
     async def main():
-        client = Client()
+        client = Client("a")
         for k in range(10 * MOST_WAITING):
             client.put({"number": k})
             client.put(b"%d" % k)

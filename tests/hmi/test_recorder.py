@@ -1,19 +1,23 @@
 """A log holds every sample once and whole lines only, also when its writer is killed or the disk is full."""
 
+import errno
 import os
+import re
 import resource
 import signal
 import subprocess
 import sys
-import time
+import threading
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fake_bench import STEP_S, Plant
+from fake_bench import STEP_S, DiskAtOnce, Plant
 from hitchid.errors import OutputError
+from hitchid.hmi import recorder
+from hitchid.hmi.disk import Disk
 from hitchid.hmi.recorder import DIGITS, FLUSH_S, Recorder
 from hitchid.hmi.source import Reading
 
@@ -21,13 +25,13 @@ HEADER = "time_s,current_up_A,current_down_A,displacement_mm"
 WRITER = """
 import itertools, sys, time
 from pathlib import Path
-from fake_bench import STEP_S, Plant
+from fake_bench import STEP_S, DiskAtOnce, Plant
 from hitchid.hmi.recorder import Recorder
 from hitchid.hmi.source import Reading
 
-recorder = Recorder(Path(sys.argv[1]), Plant.signals)
+log = Recorder(Path(sys.argv[1]), "log.csv", Plant.signals, DiskAtOnce())
 for k in itertools.count():
-    recorder.append([Reading(k * STEP_S, (0.1, 0.0, 100.0 + k))])
+    log.append([Reading(k * STEP_S, (0.1, 0.0, 100.0 + k))])
     print(k, flush=True)
     time.sleep(0.001)
 """
@@ -44,14 +48,14 @@ def lines_of(path):
     st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3),
 )
 def test_every_sample_is_there_once(tmp_path_factory, begin, sizes, values):
-    path = tmp_path_factory.mktemp("log") / "log.csv"
-    recorder, sample = Recorder(path, Plant.signals), begin
+    folder, sample = tmp_path_factory.mktemp("log"), begin
+    log = Recorder(folder, "log.csv", Plant.signals, DiskAtOnce())
     for size in sizes:
-        recorder.append([Reading(STEP_S * (sample + k), tuple(values)) for k in range(size)])
+        log.append([Reading(STEP_S * (sample + k), tuple(values)) for k in range(size)])
         sample += size
-    recorder.close()
-    lines = lines_of(path)[1]
-    assert len(lines) == recorder.samples == sum(sizes)
+    log.close()
+    lines = lines_of(folder / "log.csv")[1]
+    assert len(lines) == log.samples == sum(sizes)
     rows = np.array([[float(cell) for cell in line.split(",")] for line in lines]).reshape(-1, 4)
     # Times of up to 10⁴ s carry a rounding of 1e-12 s, and are written with ten digits from zero on.
     np.testing.assert_allclose(rows[:, 0], STEP_S * np.arange(len(rows)), atol=1e-10, rtol=10.0**-DIGITS)
@@ -59,42 +63,66 @@ def test_every_sample_is_there_once(tmp_path_factory, begin, sizes, values):
 
 
 def test_the_columns_are_those_that_the_command_line_reads(tmp_path):
-    Recorder(tmp_path / "log.csv", Plant.signals).close()
+    Recorder(tmp_path, "log.csv", Plant.signals, DiskAtOnce()).close()
     assert lines_of(tmp_path / "log.csv")[0] == HEADER
 
 
 def test_a_missing_value_is_an_empty_cell(tmp_path):
-    recorder = Recorder(tmp_path / "log.csv", Plant.signals)
-    recorder.append([Reading(3.0, (0.5, float("nan"), float("nan")))])
-    recorder.close()
+    log = Recorder(tmp_path, "log.csv", Plant.signals, DiskAtOnce())
+    log.append([Reading(3.0, (0.5, float("nan"), float("nan")))])
+    log.close()
     assert lines_of(tmp_path / "log.csv")[1] == ["0,0.5,,"]
 
 
 def test_a_log_that_exists_is_refused_and_left_as_it_is(tmp_path):
     (tmp_path / "log.csv").write_text("mine")
-    with pytest.raises(OutputError, match=r"log\.csv: cannot be written: File exists; choose another name"):
-        Recorder(tmp_path / "log.csv", Plant.signals)
+    assert refusal(tmp_path, "log.csv") == "log.csv: exists already; choose another name"
     assert (tmp_path / "log.csv").read_text() == "mine"
 
 
-def test_a_link_to_elsewhere_is_not_followed(tmp_path):
-    (tmp_path / "log.csv").symlink_to(tmp_path / "elsewhere.csv")
-    with pytest.raises(OutputError, match="File exists"):
-        Recorder(tmp_path / "log.csv", Plant.signals)
-    assert not (tmp_path / "elsewhere.csv").exists()
+def refusal(root, path):
+    """Return why a log is not written; its samples are handed over all the same."""
+    disk = DiskAtOnce()
+    log = Recorder(root, path, Plant.signals, disk)
+    log.append([Reading(0.0, (0.0, 0.0, 1.0))])
+    log.close()
+    with pytest.raises(OutputError) as raised:
+        disk.check()
+    disk.check()  # once only
+    return str(raised.value)
+
+
+@pytest.mark.parametrize("path", ["log.csv", "logs/log.csv", "campaigns/monday/log.csv"])
+def test_no_log_is_written_to_where_a_link_leads(tmp_path, path):
+    root, elsewhere = tmp_path / "project", tmp_path / "elsewhere"
+    root.mkdir()
+    elsewhere.mkdir()
+    first = path.partition("/")[0]
+    (root / first).symlink_to(elsewhere / "log.csv" if first == path else elsewhere)
+    assert re.search("exists already|is a link; expected a folder of the project", refusal(root, path))
+    assert list(elsewhere.iterdir()) == []
+
+
+def test_a_full_disk_leaves_no_empty_log_that_would_take_the_name(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(recorder.os, "write", full)
+    assert "No space left on device" in refusal(tmp_path, "log.csv")
+    assert not (tmp_path / "log.csv").exists()
 
 
 def test_what_was_appended_can_be_read_after_two_tenths_of_a_second(tmp_path):
-    recorder = Recorder(tmp_path / "log.csv", Plant.signals)
+    log = Recorder(tmp_path, "log.csv", Plant.signals, DiskAtOnce())
     for k in range(500):
-        recorder.append([Reading(k * STEP_S, (0.0, 0.0, 1.0))])
+        log.append([Reading(k * STEP_S, (0.0, 0.0, 1.0))])
         assert len(lines_of(tmp_path / "log.csv")[1]) >= k - FLUSH_S / STEP_S
-    recorder.close()
+    log.close()
 
 
 def test_a_killed_writer_leaves_whole_lines_to_the_last_two_tenths_of_a_second(tmp_path):
     path = tmp_path / "log.csv"
-    command = [sys.executable, "-c", WRITER, str(path)]
+    command = [sys.executable, "-c", WRITER, str(tmp_path)]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as writer:  # noqa: S603
         told = [int(writer.stdout.readline()) for _ in range(150)]
@@ -109,14 +137,16 @@ def test_a_killed_writer_leaves_whole_lines_to_the_last_two_tenths_of_a_second(t
 
 
 def test_a_full_disk_leaves_whole_lines(tmp_path):
-    recorder = Recorder(tmp_path / "log.csv", Plant.signals)
+    disk = DiskAtOnce()
+    log = Recorder(tmp_path, "log.csv", Plant.signals, disk)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))  # a limit of 1 kB that splits a line
     try:
         readings = [Reading(k * STEP_S, (0.0, 0.0, 100.0 + k)) for k in range(200)]
+        log.append(readings)
         with pytest.raises(OutputError, match=r"log\.csv: cannot be written: File too large"):
-            recorder.append(readings)
-        recorder.close()
+            disk.check()
+        log.close()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert path_ends_whole(tmp_path / "log.csv")
@@ -127,9 +157,14 @@ def path_ends_whole(path):
     return path.read_bytes().endswith(b"\n") and all(line.count(",") == 3 for line in lines) and lines
 
 
-def test_closing_does_not_wait_for_the_disk(tmp_path, monkeypatch):
-    recorder = Recorder(tmp_path / "log.csv", Plant.signals)
-    monkeypatch.setattr("hitchid.hmi.recorder.os.fsync", lambda _: time.sleep(0.5))
-    begin_s = time.monotonic()
-    recorder.close()
-    assert time.monotonic() - begin_s < 0.4
+def test_nothing_waits_for_a_disk_that_is_frozen_and_all_is_written_when_it_goes_on(tmp_path, monkeypatch):
+    thawed, disk = threading.Event(), Disk()
+    write, fsync = os.write, os.fsync
+    monkeypatch.setattr(recorder.os, "write", lambda *given: thawed.wait(60) and write(*given))
+    monkeypatch.setattr(recorder.os, "fsync", lambda file: thawed.wait(60) and fsync(file))
+    log = Recorder(tmp_path, "log.csv", Plant.signals, disk)  # no call would return
+    log.append(Reading(k * STEP_S, (0.0, 0.0, 1.0)) for k in range(100))
+    log.close()
+    thawed.set()
+    assert disk.finish()
+    assert len(lines_of(tmp_path / "log.csv")[1]) == 100

@@ -347,6 +347,42 @@ def test_an_upload_is_a_name_in_its_folder(session, name):
     assert {path.name for path in (session.root / "uploads").iterdir()} == {"a.csv"}
 
 
+def test_an_upload_never_leaves_the_project(session, tmp_path):
+    uploads = session.root / "uploads"
+    (uploads / "link.csv").symlink_to(tmp_path / "link.csv")
+    assert session.ask("POST", "/api/upload?name=link.csv", "x")[0] == 400
+    (uploads / "link.csv").unlink()
+    uploads.rename(session.root / "kept")
+    uploads.symlink_to(tmp_path)
+    try:
+        status, _, content = session.ask("POST", "/api/upload?name=b.csv", "x")
+    finally:
+        uploads.unlink()
+        (session.root / "kept").rename(uploads)
+    assert (status, json.loads(content)["error"]) == (
+        400,
+        "uploads: is a link; expected a folder of the project",
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_pipe_is_no_file_to_read_from(session):
+    os.mkfifo(session.root / "uploads" / "pipe.csv")
+    try:
+        assert session.ask("GET", "/files/uploads/pipe.csv")[0] == 400
+        with session.page() as operator:
+            assert asked(operator, "connect", source="fake_bench:Plant") is None
+            file = {"kind": "file", "name": "pipe", "file": "uploads/pipe.csv"}
+            drive = {"kind": "drive", "name": "pipe", "controller": "uploads/pipe.csv"}
+            for plan in (file, drive):
+                assert asked(operator, "arm", plan=plan) == "path: expected a file, got 'uploads/pipe.csv'"
+            assert asked(operator, "disconnect") is None
+            replay = {"log": "uploads/pipe.csv"}
+            assert "expected a file" in asked(operator, "connect", source="replay", options=replay)
+    finally:
+        (session.root / "uploads" / "pipe.csv").unlink()
+
+
 def test_an_upload_never_replaces_a_file(session):
     status, _, content = session.ask("POST", "/api/upload?name=a.csv", "b")
     assert status == 400
@@ -430,6 +466,51 @@ def test_a_job_that_is_none_is_refused(session, content):
     status, _, answer = session.ask("POST", "/api/jobs", json.dumps(content))
     assert status == 400
     assert json.loads(answer)["error"]
+
+
+def test_half_a_character_in_a_request_is_answered(session):
+    content = json.dumps({"kind": "\ud800", "logs": "\ud800"})
+    status, _, answer = session.ask("POST", "/api/jobs", content)
+    assert status == 400
+    assert json.loads(answer)["error"]
+
+
+def test_a_viewer_from_elsewhere_starts_and_stops_no_job_and_uploads_nothing(session):
+    token = json.loads(session.ask("POST", "/api/link")[2])["link"].partition("#token=")[2]
+    viewer = session.opened(token)
+    inspect = json.dumps({"kind": "inspect", "logs": "uploads/a.csv"})
+    changes = (("POST", "/api/jobs"), ("DELETE", "/api/jobs/1"), ("POST", "/api/upload?name=v.csv"))
+    with session.page() as operator:
+        said(operator, lambda message: message["type"] == "hello")
+        for method, path in changes:
+            status, _, content = session.ask(method, path, inspect, Cookie=viewer)
+            assert (status, json.loads(content)["error"][:20]) == (400, "this page only watch")
+    assert not (session.root / "uploads" / "v.csv").exists()
+
+
+@pytest.mark.long
+def test_requests_that_never_end_are_ended_and_cost_no_memory(session):
+    before = session.memory()
+    head = f"POST /api/upload?name={{}}.csv HTTP/1.1\r\nHost: 127.0.0.1:{session.port}\r\n"
+    body = f"Origin: {session.origin}\r\nCookie: {session.cookie}\r\nContent-Length: 4000000\r\n\r\n"
+    with contextlib.ExitStack() as stack:
+        raws = [
+            stack.enter_context(socket.create_connection(("127.0.0.1", session.port), timeout=LONGEST_S))
+            for _ in range(100)
+        ]
+        for number, raw in enumerate(raws):
+            raw.sendall(head.format(number).encode())
+            raw.setblocking(False)
+            if number % 2:
+                with contextlib.suppress(BlockingIOError):
+                    raw.sendall(body.encode() + b"x" * 3_000_000)
+            raw.settimeout(LONGEST_S)
+        assert session.ask("GET", "/api/project")[0] == 200
+        for raw in raws:
+            with contextlib.suppress(ConnectionResetError):
+                assert raw.recv(1000)[:12] in (b"", b"HTTP/1.1 400")
+        assert session.memory() - before < 1e8  # of 150 MB that were sent
+    assert {path.name for path in (session.root / "uploads").iterdir()} == {"a.csv"}
 
 
 @pytest.mark.parametrize("number", ["1", "99999999999999999999", "-1", "a"])
@@ -581,10 +662,26 @@ def test_a_killed_bench_loop_is_told_and_another_can_be_started(session):
         (bench,) = session.children("bench_process")
         os.kill(bench, signal.SIGKILL)
         told = in_state(operator, "disconnected")
-        assert "the bench loop has ended" in told["reason"]
+        assert told["reason"] == "the bench loop has ended; its watchdog has sent zero to the machine"
         assert "connect a source to start it again" in asked(operator, "start")
         assert asked(operator, "connect", source="fake_bench:Plant") is None
         assert in_state(operator, "idle")["source"]["label"] == "plant"
+        assert asked(operator, "disconnect") is None
+
+
+def test_a_bench_loop_that_was_frozen_and_goes_on_is_stopped(session):
+    with session.page() as operator:
+        assert asked(operator, "connect", source="fake_bench:Plant") is None
+        assert asked(operator, "arm", plan={**PLAN, "name": "frozen"}) is None
+        assert asked(operator, "start") is None
+        in_state(operator, "running")
+        (bench,) = session.children("bench_process")
+        os.kill(bench, signal.SIGSTOP)
+        told = said(operator, lambda message: "does not answer" in message.get("reason", ""))
+        assert told["reason"].endswith("use its own emergency stop")
+        os.kill(bench, signal.SIGCONT)
+        assert "late" in in_state(operator, "stopped")["reason"]
+        assert asked(operator, "reset") is None
         assert asked(operator, "disconnect") is None
 
 

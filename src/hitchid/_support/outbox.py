@@ -21,7 +21,8 @@ class Outbox:
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
         self._waiting: queue.Queue[bytes | None] = queue.Queue(MOST_WAITING)
-        threading.Thread(target=self._send_all, daemon=True).start()
+        self._thread = threading.Thread(target=self._send_all, daemon=True)
+        self._thread.start()
 
     def put(self, message: bytes, *, is_block: bool = False) -> None:
         """Send a message as soon as the other process takes it; blocks of samples are dropped first."""
@@ -30,10 +31,15 @@ class Outbox:
         with contextlib.suppress(queue.Full):
             self._waiting.put_nowait(message)
 
-    def close(self) -> None:
-        """End the thread and close the connection, after what waits or when the other process is gone."""
+    def close(self, longest_s: float = 0.0) -> None:
+        """End the thread and close the connection, after what waits or when the other process is gone.
+
+        Args:
+            longest_s: to wait for that, s.
+        """
         with contextlib.suppress(queue.Full):  # then the thread is sending, and fails
             self._waiting.put_nowait(None)
+        self._thread.join(longest_s)
 
     def _send_all(self) -> None:
         with contextlib.suppress(OSError):  # the other process has ended

@@ -1,9 +1,9 @@
 """The bench loop: owns source, recorder and safety; one `tick` for each sampling time."""
 
-import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,18 @@ from hitchid._support import checks
 from hitchid.errors import HitchError, InputError, OutputError
 from hitchid.hmi import plans, project
 from hitchid.hmi.connected_source import ConnectedSource, connect
+from hitchid.hmi.disk import Disk
 from hitchid.hmi.limits import MARGIN, Limits
 from hitchid.hmi.recorder import Recorder
 from hitchid.hmi.run import Run
 from hitchid.hmi.safety import Safety, State
 from hitchid.hmi.source import CLOSED, DISPLACEMENT, REQUIRED, Reading, describe
+from hitchid.hmi.watchdog import Watchdog
 
 LONGEST_SILENCE_S = 0.5  # s without a sign of life of server or page, after which the loop stops
+# s beyond its sampling time, after which a tick of a machine in motion is late, and the run over: its valves
+# have held an old command. Chosen: zero is sent within 0.2 s, also to the slowest source that may be moved.
+LATEST_S = 0.1
 TICK_S = 0.01  # s between ticks without a source
 
 Request = Mapping[str, Any]
@@ -28,13 +33,17 @@ Request = Mapping[str, Any]
 class BenchLoop:
     """Source, recorder and safety of one bench.
 
-    Only the state `running` sends commands other than zero: within the limits, never both at once.
+    Only the state `running` sends commands other than zero: within the limits, never both at once. Nothing in
+    a tick waits: files are handed to the disk's thread, and a tick that comes late ends the run.
 
     Args:
         root: folder of the project.
         allow_output: whether a real machine may be moved.
         limits_file: limits of a real machine.
         longest_silence_s: without a sign of life while armed or running, s.
+        disk: that takes what is written.
+        tell: called by the watchdog, in its process, when this one has ended while something could move, with
+            whether zero was sent.
     """
 
     def __init__(
@@ -44,13 +53,17 @@ class BenchLoop:
         allow_output: bool = False,
         limits_file: Path | None = None,
         longest_silence_s: float = LONGEST_SILENCE_S,
+        disk: Disk | None = None,
+        tell: Callable[[bool], None] = lambda _: None,
     ) -> None:
         self._root, self._allow_output, self._limits_file = root, allow_output, limits_file
         self._longest_silence_s = longest_silence_s
-        self._safety = Safety()
+        self._safety, self._disk = Safety(), disk or Disk()
         self._connected: ConnectedSource | None = None
         self._run: Run | None = None
         self._ended_runs: list[Run] = []
+        self._ticked_s, self._tell = -np.inf, tell
+        self._watchdog: Watchdog | None = None
         self._recorder: Recorder | None = None
         self._displacement, self._time_s, self._silent_s, self._measured_s = np.nan, 0.0, 0.0, 0.0
         self._commands = CLOSED
@@ -102,11 +115,15 @@ class BenchLoop:
     def tick(self, now_s: float) -> list[Reading]:
         """Check the signs of life, and exchange a sample with the source; in a fast run several."""
         self._settle(self._safety.check(now_s, self._longest_silence_s))
+        self._check_lateness(now_s)
+        self._check_disk()
         speed = self._connected.speed if self._connected and self.state is State.RUNNING else 1
         readings: list[Reading] = []
         for _ in range(speed):
             readings += self._sample(now_s)
         self._close_ended_run()
+        if self.state not in (State.ARMED, State.RUNNING):  # and zero was sent
+            self._end_watchdog()
         return readings
 
     def stop(self, reason: str) -> None:
@@ -114,8 +131,9 @@ class BenchLoop:
         self._settle(self._safety.stop(reason))
 
     def close(self) -> None:
-        """End the run and the recording, and close the source."""
+        """End the run and the recording, close the source, and give the disk a moment for the logs."""
         self._lose_source("the bench loop was ended")
+        self._disk.finish()
 
     def operator_left(self) -> None:
         """Stop an attended run whose operator has gone, or has handed over."""
@@ -137,11 +155,27 @@ class BenchLoop:
             "now_s": self._time_s,
         }
 
-    def _sample(self, now_s: float) -> Sequence[Reading]:
-        """Read, decide, write and record: the commands of a sample follow from its own displacement.
+    def _check_lateness(self, now_s: float) -> None:
+        """Stop a run whose tick is late, such as after the process was stopped for a while and goes on.
 
-        No file is touched before the commands were sent.
+        A virtual bench stands still between two ticks, so that only what would be silence of a server counts.
         """
+        late_s, self._ticked_s = now_s - self._ticked_s - self.tick_s, now_s
+        if self.state is State.RUNNING and self._connected is not None:
+            virtual = self._connected.source.virtual
+            if late_s > (self._longest_silence_s if virtual else LATEST_S):
+                self.stop(f"the bench loop was late by {late_s:.2g} s")
+
+    def _check_disk(self) -> None:
+        """Stop, and end the recording, where a log is not written."""
+        try:
+            self._disk.check()
+        except OutputError as error:
+            self.stop(str(error))
+            self._end_recording()
+
+    def _sample(self, now_s: float) -> Sequence[Reading]:
+        """Read, decide, write and record: the commands of a sample follow from its own displacement."""
         connected = self._connected
         if connected is None:
             return ()
@@ -152,6 +186,10 @@ class BenchLoop:
             return ()
         self._take(connected, readings, now_s)
         self._commands = self._decide()
+        # As late as can be: this process may have been frozen since the tick began.
+        if self._watchdog is not None and not self._watchdog.alive():
+            self.stop("the bench loop was silent for too long, and its watchdog has sent zero")
+            self._commands = CLOSED
         try:
             connected.write(self._commands)
         except Exception as error:
@@ -164,7 +202,9 @@ class BenchLoop:
     def _decide(self) -> np.ndarray:
         """Advance the run by one sample, and return the commands that may be sent."""
         try:
-            if self.state is State.RUNNING and self._run and not self._run.advance(self._displacement):
+            if self.state is not State.RUNNING or self._run is None or not self._run.has_folder:
+                return CLOSED
+            if not self._run.advance(self._displacement):
                 self._settle(self._safety.finish())
             return self._allowed_commands()
         except Exception as error:  # whatever a program or a controller raises closes the valves
@@ -172,15 +212,10 @@ class BenchLoop:
             return CLOSED
 
     def _record_samples(self, readings: Sequence[Reading]) -> None:
-        try:
-            if self._recorder is not None:
-                self._recorder.append(readings)
-            if self._run is not None:
-                self._run.record(readings)
-        except OutputError as error:
-            self.stop(str(error))
-            with contextlib.suppress(OutputError):
-                self._end_recording()
+        if self._recorder is not None:
+            self._recorder.append(readings)
+        if self._run is not None:
+            self._run.record(readings)
 
     def _allowed_commands(self) -> np.ndarray:
         """Return the commands of the running program within their limits; zero in any other state."""
@@ -216,10 +251,15 @@ class BenchLoop:
         connected, self._connected, self._commands = self._connected, None, CLOSED
         if connected is not None and not connected.close():
             reason = f"{reason}; zero could not be sent: close the valves of the machine by hand"
+        self._end_watchdog()
         self._settle(self._safety.disconnect(reason))
         self._close_ended_run()
-        with contextlib.suppress(OutputError):
-            self._end_recording()
+        self._end_recording()
+
+    def _end_watchdog(self) -> None:
+        if self._watchdog is not None:
+            self._watchdog.end()
+            self._watchdog = None
 
     def _settle(self, safety: Safety) -> None:
         """Take a state; a run ends with it, and its log is closed after zero was sent."""
@@ -230,10 +270,7 @@ class BenchLoop:
     def _close_ended_run(self) -> None:
         runs, self._ended_runs = self._ended_runs, []
         for run in runs:
-            try:
-                run.end()
-            except OutputError as error:
-                self._safety = self._safety.stop(str(error))
+            run.end()
 
     def _connect(self, request: Request, now_s: float) -> None:
         connected = self._safety.connect()
@@ -265,7 +302,10 @@ class BenchLoop:
         if plan.unattended and not source.virtual:
             raise InputError("unattended: expected false; only the virtual bench runs without its operator")
         self._check_sensor(connected.limits)
-        self._run = Run(self._root, plan, source, connected.limits, self._displacement)
+        self._run = Run(self._root, plan, source, connected.limits, self._displacement, self._disk)
+        if connected.is_watched:
+            longest_s = source.step_s + LATEST_S
+            self._watchdog = Watchdog(partial(connected.write, CLOSED), self._tell, longest_s)
         self._safety = armed
 
     def _check_sensor(self, limits: Limits) -> None:
@@ -302,8 +342,9 @@ class BenchLoop:
         elif self._connected is None:
             raise InputError("record: there is no source; connect one first")
         elif self._recorder is None:
-            name = f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}.csv"
-            self._recorder = Recorder(self._root / project.RECORDINGS / name, self._connected.source.signals)
+            now = datetime.now().astimezone()  # to the millisecond: two recordings may begin in one second
+            path = f"{project.RECORDINGS}/{now:%Y-%m-%d_%H-%M-%S}-{now.microsecond // 1000:03d}.csv"
+            self._recorder = Recorder(self._root, path, self._connected.source.signals, self._disk)
 
     def _end_recording(self) -> None:
         if self._recorder is not None:

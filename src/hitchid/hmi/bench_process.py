@@ -3,10 +3,13 @@
 It never waits for the server. A server that is gone closes the valves, the log and the process.
 """
 
+import contextlib
 import gc
 import json
+import queue
 import signal
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from multiprocessing.connection import Connection
@@ -17,13 +20,16 @@ import numpy as np
 from hitchid._support.outbox import Outbox
 from hitchid.errors import HitchError, InputError
 from hitchid.hmi.bench_loop import BenchLoop
-from hitchid.hmi.safety import State
 from hitchid.hmi.source import Reading
 
 BLOCK_S = 0.04  # s between blocks of samples to the server: 25 a second
 STATUS_S = 0.5  # s between states to the server where nothing changes
 LONGEST_START_S = 0.5  # s that a start may wait; a later one would surprise whoever is at the machine; chosen
 LATE_TICKS = 5  # ticks behind, after which the clock starts anew instead of catching up; chosen
+MOST_REQUESTS = 50  # that are carried out in one tick: pages that send more wait; chosen
+MOST_WAITING = 1000  # requests that wait, before the server has to; chosen
+# s that a thread may keep the interpreter to itself while the tick is due; by default it would be 5 ms.
+SWITCH_S = 0.0005
 JSON_MARK, BLOCK_MARK = b"j", b"b"
 
 
@@ -37,20 +43,35 @@ class Link:
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
         self._outbox = Outbox(connection)
+        self._arrived: queue.Queue[dict | None] = queue.Queue(MOST_WAITING)
+        # A server that is frozen in the middle of a message keeps this thread waiting, and nobody else.
+        threading.Thread(target=self._receive, daemon=True).start()
 
     def requests(self) -> list[dict]:
-        """Return the requests that have arrived.
+        """Return the requests that have arrived, `MOST_REQUESTS` at most.
 
         Raises:
             EOFError: the server is gone.
         """
         requests = []
-        try:
-            while self._connection.poll():
-                requests.append(json.loads(self._connection.recv_bytes()))
-        except OSError as error:
-            raise EOFError from error
+        with contextlib.suppress(queue.Empty):
+            while len(requests) < MOST_REQUESTS:
+                request = self._arrived.get_nowait()
+                if request is None:
+                    raise EOFError
+                requests.append(request)
         return requests
+
+    def _receive(self) -> None:
+        try:
+            while True:
+                self._arrived.put(json.loads(self._connection.recv_bytes()))
+        except (EOFError, OSError, TypeError):  # TypeError: closed by this side in the middle of a message
+            self._arrived.put(None)
+
+    def close(self) -> None:
+        """End, after what was sent has gone; a server that does not read is not waited for."""
+        self._outbox.close(LONGEST_START_S)
 
     def send(self, content: dict[str, object]) -> None:
         """Send a message."""
@@ -73,7 +94,6 @@ def run(loop: BenchLoop, link: Link) -> None:
         try:
             requests = link.requests()
         except EOFError:
-            loop.close()
             return
         for request in requests:
             _answer(loop, link, request)
@@ -98,6 +118,12 @@ def run(loop: BenchLoop, link: Link) -> None:
 def _answer(loop: BenchLoop, link: Link, request: dict) -> None:
     """Carry out one request; a source that takes long to open does not count as silence of the server."""
     kind, error = request.get("type"), None
+    if kind in (
+        "connect",
+        "arm",
+    ):  # what is there by now stays: a tick should not wait while it is looked through
+        gc.collect()
+        gc.freeze()
     if kind in ("server_alive", "page_alive"):  # of the time it was given, not of the time it is read
         given_s = min(float(request["at_s"]), time.monotonic())
         (loop.server_alive if kind == "server_alive" else loop.page_alive)(given_s)
@@ -132,19 +158,29 @@ def main(arguments: Sequence[str]) -> None:
     for number in (signal.SIGINT, signal.SIGHUP):  # they end the server, which ends this process
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # by way of the end below, which closes the valves
-    limits = settings["limits_file"]
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for a watchdog that has ended
+    sys.setswitchinterval(SWITCH_S)
+    limits, connection = settings["limits_file"], Connection(descriptor)
+
+    def tell(is_zero_sent: bool) -> None:
+        told = {"type": "watchdog", "zero_sent": is_zero_sent}
+        connection.send_bytes(JSON_MARK + json.dumps(told).encode())
+
     loop = BenchLoop(
         Path(settings["root"]),
         allow_output=settings["allow_output"],
         limits_file=Path(limits) if limits else None,
         longest_silence_s=settings["longest_silence_s"],
+        tell=tell,
     )
+    link = Link(connection)
     gc.freeze()
     try:
-        run(loop, Link(Connection(descriptor)))
+        run(loop, link)
     finally:
-        if loop.state is not State.DISCONNECTED:
-            loop.close()
+        loop.close()
+        link.send({"type": "status", **loop.describe()})  # what the server knows when this process is gone
+        link.close()
 
 
 if __name__ == "__main__":

@@ -6,6 +6,8 @@ import secrets
 from collections import deque
 from collections.abc import Iterator, Mapping
 
+from hitchid.errors import InputError
+
 MOST_WAITING = 100  # frames to a page that does not read, then the oldest is dropped: four seconds; chosen
 MOST_TEXTS = 1000  # messages likewise: minutes; chosen
 
@@ -13,11 +15,15 @@ MOST_TEXTS = 1000  # messages likewise: minutes; chosen
 class Client:
     """A page that is connected.
 
+    Args:
+        session: of the browser that the page is open in.
+
     Attributes:
         name: of the page.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, session: str) -> None:
+        self.session = session
         self.name = secrets.token_hex(4)
         self._texts: deque[str] = deque(maxlen=MOST_TEXTS)
         self._frames: deque[bytes] = deque(maxlen=MOST_WAITING)
@@ -52,9 +58,9 @@ class Clients:
     def __len__(self) -> int:
         return len(self._clients)
 
-    def add(self, *, may_operate: bool = True) -> Client:
+    def add(self, session: str, *, may_operate: bool = True) -> Client:
         """Return a new client; where nothing may move and nobody operates it becomes the operator."""
-        client = Client()
+        client = Client(session)
         self._clients[client.name] = client
         if self.operator is None and may_operate:
             self.operator = client.name
@@ -70,6 +76,15 @@ class Clients:
         if self.operator is None:
             self.operator = client.name
         return self.operator == client.name
+
+    def check_operates(self, session: str) -> None:
+        """Check that a browser has the operator's page, or that nobody operates.
+
+        Raises:
+            InputError: another one has it.
+        """
+        if self.operator is not None and self._clients[self.operator].session != session:
+            raise InputError("this page only watches; become the operator first")
 
     def release(self, client: Client) -> None:
         """Give up the place of the operator."""

@@ -46,6 +46,11 @@ class ConnectedSource:
         """Signal to its unit."""
         return {signal.name: signal.unit for signal in self.source.signals}
 
+    @property
+    def is_watched(self) -> bool:
+        """Whether something may go on moving when this process does not; the package's own end with it."""
+        return self.takes_output and self.source.can_move and self.name not in ("rig", "replay")
+
     def read(self) -> list[Reading]:
         """Return the samples that have arrived, as numbers.
 
@@ -110,7 +115,7 @@ def _text(name: str, options: Mapping[str, Any], root: Path) -> str:
     if name == "rig":
         return f"rig:{checks.one_of(options.get('rig', 'nominal'), parameter_sets(), 'rig')}"
     if name == "replay":
-        return f"replay:{project.inside(root, options.get('log'))}"
+        return f"replay:{project.file_inside(root, options.get('log'))}"
     return name
 
 

@@ -2,20 +2,23 @@
 
 import asyncio
 import json
+import os
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import hitchid
-from hitchid.errors import InputError
+from hitchid.errors import InputError, OutputError
 from hitchid.hmi import project
 from hitchid.hmi.child import Child
 from hitchid.hmi.clients import Client, Clients
+from hitchid.hmi.disk import Disk
 from hitchid.hmi.history import History, SpeedEstimate, block_of, packed_rows
 from hitchid.hmi.jobs import Jobs
 from hitchid.hmi.model_beside import ModelBeside
@@ -24,6 +27,7 @@ from hitchid.hmi.source import DISPLACEMENT, REQUIRED, Signal
 from hitchid.rig.parameter_files import parameter_sets
 
 ALIVE_S = 0.1  # s between signs of life to the bench loop
+LONGEST_SILENCE_S = 1.5  # s: three states that the bench loop did not tell, after which it hangs
 MEASURED = 0  # kind of the message with samples
 LOG_FILE = "hmi.log"
 OPERATED = ("connect", "disconnect", "arm", "start", "reset", "target", "record")  # by the bench loop
@@ -31,8 +35,10 @@ BESIDE = ("monitor_restart", "adapt", "roll_back", "save_adapted")  # by the mod
 UNLOGGED = ("target", "monitor_restart")  # requests that leave no line in the log
 LOGGED_FIELDS = ("source", "options", "plan", "on", "direction", "name")  # of a request
 NOMINAL = "nominal"  # the rig that is offered first
+MOVING = ("armed", "running")  # states in which something may move
 SPEEDS = (1, 2, 5, 10, 20)
 MOST_MARKERS = 200
+SILENT = "the bench loop does not answer: whether the machine moves is not known; use its own emergency stop"
 ENDED = {
     "state": "disconnected",
     "source": None,
@@ -80,6 +86,9 @@ class Console:
         self._status: dict[str, Any] = {**ENDED, "reason": ""}
         self._markers: list[dict[str, object]] = []
         self._pending = Pending()
+        self._heard_s, self._is_zero_sent = 0.0, None
+        self._disk, self._disk_problem = Disk(), ""  # nor does the server wait for its own log
+        self._tasks: set[asyncio.Task] = set()
 
     async def keep_alive(self) -> None:
         """Start the bench loop, and give it signs of life until cancelled."""
@@ -88,6 +97,8 @@ class Console:
             await asyncio.sleep(ALIVE_S)
             if self._bench is not None:
                 self._bench.send({"type": "server_alive", "at_s": time.monotonic()})
+            self._check_bench()
+            self._check_log()
 
     async def end(self) -> None:
         """End all processes; the bench loop closes valves and logs."""
@@ -96,9 +107,9 @@ class Console:
         await asyncio.to_thread(self._beside.end)
         await self.jobs.end()
 
-    def welcome(self) -> Client:
+    def welcome(self, session: str) -> Client:
         """Return a client for a new page; the operator's where there is none and nothing may move."""
-        client = self.clients.add(may_operate=self._status["state"] not in ("armed", "running"))
+        client = self.clients.add(session, may_operate=self._status["state"] not in MOVING)
         if self.clients.operator == client.name:
             self.log("claim", client)
         return client
@@ -111,15 +122,16 @@ class Console:
             self._operator_left()
         self.publish_status()
 
-    def greet(self, client: Client) -> None:
+    async def greet(self, client: Client) -> None:
         """Send a new page what it needs to know."""
+        sources = await asyncio.to_thread(self._sources)
         client.put(
             {
                 "type": "hello",
                 "version": hitchid.__version__,
                 "you": client.name,
                 "allow_output": self.settings.allow_output,
-                "sources": self._sources(),
+                "sources": sources,
             }
         )
         client.put(self.status())
@@ -200,11 +212,27 @@ class Console:
     def log(self, event: str, client: Client | None, **content: object) -> None:
         """Append who did what to the log of the project."""
         entry = {"time": datetime.now(UTC).isoformat(timespec="milliseconds"), "event": event}
+        line = json.dumps({**entry, "page": client and client.name, **content})
+        if not self._disk_problem:  # lines that nothing takes would pile up
+            self._disk.put(partial(_append, self.settings.root / LOG_FILE, f"{line}\n".encode()))
+
+    def _check_log(self) -> None:
+        """Tell all pages once that the log is not written."""
+        before, self._disk_problem = self._disk_problem, ""
         try:
-            with (self.settings.root / LOG_FILE).open("a", encoding="utf-8") as file:
-                file.write(f"{json.dumps({**entry, 'page': client and client.name, **content})}\n")
-        except OSError as error:
-            self.clients.publish({"type": "problem", "text": f"{LOG_FILE}: {error.strerror}"})
+            self._disk.check()
+        except OutputError as error:
+            self._disk_problem = str(error)
+            if not before:
+                self.clients.publish({"type": "problem", "text": f"{LOG_FILE}: {error}"})
+
+    def _check_bench(self) -> None:
+        """Tell all pages that a bench loop hangs while something may move; its next word replaces that."""
+        silent_s = time.monotonic() - self._heard_s
+        may_move = self._bench is not None and self._status["state"] in MOVING
+        if may_move and silent_s > LONGEST_SILENCE_S and self._status["reason"] != SILENT:
+            self._status = {**self._status, "reason": SILENT}
+            self.publish_status()
 
     def _log_request(self, client: Client, request: Mapping[str, Any]) -> None:
         if request["type"] not in UNLOGGED:
@@ -246,22 +274,41 @@ class Console:
             "limits_file": str(limits) if limits else None,
             "longest_silence_s": self.settings.longest_silence_s,
         }
+        self._heard_s, self._is_zero_sent = time.monotonic(), None
         self._bench = Child("hitchid.hmi.bench_process", settings, self._from_bench, self._bench_ended)
 
     def _bench_ended(self) -> None:
         self._bench = None
-        reason = "the bench loop has ended: valves are closed, its logs are complete to the last second"
+        reason = f"the bench loop has ended; {self._last_command()}"
         self._status = {**ENDED, "reason": reason}
         self._pending.fail(reason)
+        self.log("ended", None, reason=reason)
         self.publish_status()
 
+    def _last_command(self) -> str:
+        """Return what is known of the commands that the bench loop has left behind."""
+        source, state, reason = (self._status[name] for name in ("source", "state", "reason"))
+        if self._is_zero_sent is not None:
+            if self._is_zero_sent:
+                return "its watchdog has sent zero to the machine"
+            return "its watchdog could not send zero: close the valves of the machine by hand"
+        if state not in MOVING:
+            return f"before that: {reason}" if reason else "zero was the last that it commanded"
+        if source["name"] == "rig":
+            return "the virtual bench has ended with it"
+        return "whether zero was sent is not known: look at the machine, and close its valves by hand"
+
     def _from_bench(self, message: bytes) -> None:
+        self._heard_s = time.monotonic()
         if message[:1] == b"b":
             self._take_block(message[1:])
             return
         content = json.loads(message[1:])
         if content["type"] == "reply":
             self._pending.answer(content["id"], content["error"])
+            return
+        if content["type"] == "watchdog":
+            self._is_zero_sent = content["zero_sent"]
             return
         before, self._status = self._status, _with_speed(content)
         if before["source"] != self._status["source"]:
@@ -298,7 +345,26 @@ class Console:
 
     def _project_changed(self) -> None:
         self.clients.publish({"type": "project_changed"})
-        self.clients.publish({"type": "sources", "sources": self._sources()})
+        task = asyncio.get_running_loop().create_task(self._tell_sources())
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _tell_sources(self) -> None:
+        """Look for logs to replay, which takes a while where there are many, and tell all pages."""
+        self.clients.publish({"type": "sources", "sources": await asyncio.to_thread(self._sources)})
+
+
+def _append(path: Path, line: bytes) -> None:
+    """Append a line to a file; neither to what a link leads to, nor waiting for the reader of a pipe."""
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+    try:
+        file = os.open(path, flags, 0o644)
+        try:
+            os.write(file, line)
+        finally:
+            os.close(file)
+    except OSError as error:
+        raise OutputError(f"cannot be written: {error.strerror}") from error
 
 
 def _with_speed(status: dict[str, Any]) -> dict[str, Any]:

@@ -13,6 +13,7 @@ MOST_SESSIONS = 64  # and links, at the same time; the oldest ends with one more
 TOKEN_BYTES = 32  # 256 bits: not to be guessed
 PROTECTED = ("/api/", "/ws", "/files/")
 SESSION_PATH = "/api/session"
+SESSION = "hitchid.session"  # key of a request's session in its scope
 PAGE_POLICY = "default-src 'self'; frame-ancestors 'self'; base-uri 'none'; form-action 'none'"
 FILE_POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data: 'self'; frame-ancestors 'self'; sandbox"
@@ -29,7 +30,7 @@ class Sessions:
 
     def __init__(self) -> None:
         self._links: dict[str, float] = {}
-        self._sessions: dict[str, None] = {}
+        self._pages: dict[str, int] = {}  # of each session, how many are connected; used last is last
 
     def new_link(self) -> str:
         """Return the token of a new link."""
@@ -40,23 +41,41 @@ class Sessions:
         return token
 
     def redeem(self, token: object) -> str | None:
-        """Return a new session for a token, which is used up by that; None for a wrong or old one."""
+        """Return a new session for a token, which is used up by that; None for a wrong or old one.
+
+        With one too many the session that was used longest ago ends, but none that has a connected page.
+        """
         matching = [known for known in self._links if isinstance(token, str) and _is_equal(known, token)]
         if not matching or self._links.pop(matching[0]) < time.monotonic():
             return None
+        if len(self._pages) >= MOST_SESSIONS:
+            unused = next((session for session, pages in self._pages.items() if not pages), None)
+            if unused is None:
+                return None
+            del self._pages[unused]
         session = secrets.token_urlsafe(TOKEN_BYTES)
-        self._sessions[session] = None
-        if len(self._sessions) > MOST_SESSIONS:
-            del self._sessions[next(iter(self._sessions))]
+        self._pages[session] = 0
         return session
 
-    def is_known(self, session: str) -> bool:
-        """Return whether a session exists."""
-        return any(_is_equal(known, session) for known in self._sessions)
+    def known(self, given: str) -> str | None:
+        """Return the session that was given, which counts as used; None where there is none."""
+        found = next((session for session in self._pages if _is_equal(session, given)), None)
+        if found is not None:
+            self._pages[found] = self._pages.pop(found)
+        return found
+
+    def connect(self, session: str) -> None:
+        """Count a page that is connected from now on."""
+        self._pages[session] = self._pages.get(session, 0) + 1
+
+    def disconnect(self, session: str) -> None:
+        """Count a page that was connected until now."""
+        self._pages[session] -= 1
 
 
 def _is_equal(known: str, given: str) -> bool:
-    return secrets.compare_digest(known.encode(), given.encode())
+    # "replace": half a character, as JSON can carry it, has no bytes of its own
+    return secrets.compare_digest(known.encode(), given.encode(errors="replace"))
 
 
 class Guard:
@@ -88,6 +107,7 @@ class Guard:
             await refusal(scope, receive, _with_headers(send, scope["path"]))
 
     def _refusal(self, scope: Message) -> tuple[int, str]:
+        """Return status and reason of a refusal, or no reason; a session is noted in the scope."""
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
         host, origin, path = headers.get("host", ""), headers.get("origin"), scope["path"]
         if host not in self._hosts:
@@ -103,8 +123,10 @@ class Guard:
         except http.cookies.CookieError:
             return 401, "open the link that hitchid printed"
         morsel = cookies.get(self.cookie)
-        if morsel is None or not self._sessions.is_known(morsel.value):
+        session = morsel and self._sessions.known(morsel.value)
+        if not session:
             return 401, "open the link that hitchid printed"
+        scope[SESSION] = session
         return 200, ""
 
 

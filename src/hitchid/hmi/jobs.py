@@ -18,7 +18,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from hitchid.data.settings_errors import describe
 from hitchid.data.signal_map import Strict
-from hitchid.errors import InputError
+from hitchid.errors import HitchError, InputError
 from hitchid.hmi import project
 
 BRIEF = "brief.toml"  # settings of a brief identification, written into the project
@@ -27,6 +27,7 @@ POINTS = 1000  # of a curve; above it every second one is dropped
 MOST_RESULT = 4_000_000  # characters of a result; a longer one is not shown
 LINE_BYTES = 2**20  # longest line of standard error
 NICE = 5  # lower priority than the bench loop
+OOM_SCORE = "500"  # of 1000: where memory runs out the system ends a job before the bench loop; chosen
 SHORTEST_S = 0.2  # s between messages about a running job: five a second
 LONGEST_END_S = 5.0  # s that a command may take to end when it is asked to; chosen
 MOST_JOBS = 50  # that are remembered
@@ -222,15 +223,12 @@ class Jobs:
         running = [job for job in self._jobs.values() if job.state == "running"]
         if running:
             raise InputError(f"hitchid {running[0].kind} is still running; wait for its end, or stop it")
-        if isinstance(request, Identify) and request.brief and not (self._root / BRIEF).exists():
-            settings = resources.files("hitchid.hmi").joinpath(BRIEF).read_bytes()
-            (self._root / BRIEF).write_bytes(settings)
-        (self._root / out).parent.mkdir(parents=True, exist_ok=True)
+        is_brief = isinstance(request, Identify) and request.brief
         self._number += 1
         job = self._jobs[self._number] = Job(self._number, request.kind, arguments, out)
         if len(self._jobs) > MOST_JOBS:
             del self._jobs[next(iter(self._jobs))]
-        task = asyncio.get_running_loop().create_task(self._run(job))
+        task = asyncio.get_running_loop().create_task(self._run(job, is_brief=is_brief))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
         return job.number
@@ -261,13 +259,27 @@ class Jobs:
             for task in unfinished:
                 task.cancel()
 
-    async def _run(self, job: Job) -> None:
+    async def _run(self, job: Job, *, is_brief: bool) -> None:
         try:
+            await asyncio.to_thread(self._prepare, job.out, is_brief=is_brief)
             await self._carry_out(job)
-        except OSError as error:
+        except (OSError, HitchError) as error:
+            problem = error.strerror if isinstance(error, OSError) else error
             job.state = "failed"
-            job.lines.append(f"hitchid {job.kind}: cannot be started: {error.strerror}")
+            job.lines.append(f"hitchid {job.kind}: cannot be started: {problem}")
             self._publish(job.describe())
+
+    def _prepare(self, out: str, *, is_brief: bool) -> None:
+        """Check where a job writes to, and write the settings of a brief identification where there are none.
+
+        Raises:
+            OutputError: one of them would land outside the project, or cannot be written.
+        """
+        if out:
+            project.place(self._root, out)
+        if is_brief and not os.path.lexists(self._root / BRIEF):
+            settings = resources.files("hitchid.hmi").joinpath(BRIEF).read_bytes()
+            project.write_new(self._root, BRIEF, settings)
 
     async def _carry_out(self, job: Job) -> None:
         environment = {**os.environ, "HITCHID_PROGRESS": "json", "NO_COLOR": "1"}
@@ -287,6 +299,7 @@ class Jobs:
         )
         with contextlib.suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, job.process.pid, NICE)
+            Path(f"/proc/{job.process.pid}/oom_score_adj").write_text(OOM_SCORE)
         assert job.process.stdout is not None  # noqa: S101 - both are pipes
         output, _, _ = await asyncio.gather(
             job.process.stdout.read(), self._read_progress(job), job.process.wait()

@@ -48,6 +48,7 @@ class ModelBeside:
         self._child: Child | None = None
         self._pending = Pending()
         self._adaptation = NO_ADAPTATION
+        self._has_said_why = False
 
     def choose(self, model: object, source: Mapping[str, Any] | None) -> None:
         """Start another model beside a source; None ends the present one.
@@ -67,8 +68,8 @@ class ModelBeside:
             "step_s": source["step_s"],
         }
         self.leave()
-        child = Child("hitchid.hmi.monitor_process", settings, self._take, lambda: self._has_ended(child))
-        self._child, self.model = child, str(model)
+        child = Child("hitchid.hmi.monitor_process", settings, self._take, lambda: self._has_died(child))
+        self._child, self.model, self._has_said_why = child, str(model), False
         self._on_change()
 
     def leave(self) -> None:
@@ -96,11 +97,8 @@ class ModelBeside:
             case "adapt":
                 content = {"on": request.get("on") is True, "log": str(self._root / self.change_log)}
             case "save_adapted":
-                name = project.checked_name(request.get("name"))
-                folder = self._root / project.MODELS / name
-                if folder.exists():
-                    raise InputError(f"{project.MODELS}/{name}: exists already; choose another name")
-                content = {"folder": str(folder)}
+                path = f"{project.MODELS}/{project.checked_name(request.get('name'))}"
+                content = {"folder": str(project.place(self._root, path))}
         number = self._pending.add(client, request.get("id"))
         self._child.send({**content, "type": request["type"], "id": number})
 
@@ -130,6 +128,7 @@ class ModelBeside:
                 if content["written"]:
                     self._on_written()
             case "error":
+                self._has_said_why = True
                 self._clients.publish({"type": "problem", "text": f"monitor: {content['error']}"})
             case _:
                 self._tell(content)
@@ -137,6 +136,13 @@ class ModelBeside:
     def _tell(self, adaptation: Mapping[str, object]) -> None:
         self._adaptation = adaptation
         self._clients.publish(self.describe())
+
+    def _has_died(self, child: Child) -> None:
+        """Tell all pages of a process that has ended without being asked to."""
+        if self._child is child and not self._has_said_why:
+            text = f"monitor: the process of {self.model} was killed, or out of memory; choose it again"
+            self._clients.publish({"type": "problem", "text": text})
+        self._has_ended(child)
 
     def _has_ended(self, child: Child) -> None:
         if self._child is child:

@@ -1,11 +1,12 @@
 """The project folder: plain files that the command line reads and writes as well."""
 
+import fcntl
 import os
 import re
 from datetime import UTC, datetime
 from pathlib import Path
 
-from hitchid.errors import InputError
+from hitchid.errors import InputError, OutputError
 
 CAMPAIGNS, MODELS, REPORTS, CONTROLLERS = "campaigns", "models", "reports", "controllers"
 DRIVES, RECORDINGS, UPLOADS, CHANGES = "drives", "recordings", "uploads", "changes"
@@ -13,8 +14,42 @@ FOLDERS = (CAMPAIGNS, MODELS, REPORTS, CONTROLLERS, DRIVES, RECORDINGS, UPLOADS,
 NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,59}"
 NAME = re.compile(NAME_PATTERN)
 CAMPAIGN_FILE, REPORT_FILE = "campaign.toml", "report.html"
+LOCK_FILE = ".hmi.lock"  # held by the server of the project
+MOST_ENTRIES = 1000  # of a folder that are shown; chosen: more than anybody looks through
 MOST_LOGS = 200  # that are offered for a replay; chosen
 LOG_FORMATS = (".csv", ".csv.gz", ".mf4", ".parquet", ".tdms", ".mat", ".h5", ".lvm", ".tsv")
+
+
+def lock(project: Path, address: str) -> int | None:
+    """Take a project for this process as long as it lives; return the file that says so.
+
+    Args:
+        project: folder.
+        address: at which this process serves it, for whoever comes second.
+
+    Returns:
+        Descriptor of the file; None where the file system has no locks or takes no files.
+
+    Raises:
+        InputError: another process has it, with its address.
+    """
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+    try:
+        file = os.open(project / LOCK_FILE, flags, 0o600)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        other = os.read(file, 1000).decode(errors="replace")
+        os.close(file)
+        raise InputError(f"{project}: is served already, at {other}; open that, or end it first") from error
+    except OSError:
+        os.close(file)
+        return None
+    os.ftruncate(file, 0)
+    os.write(file, address.encode())
+    return file
 
 
 def checked_name(name: object) -> str:
@@ -47,10 +82,58 @@ def inside(project: Path, path: object) -> Path:
     return root.joinpath(*parts)
 
 
+def file_inside(project: Path, path: object) -> Path:
+    """Return the path of an existing file in one of the project's folders.
+
+    Raises:
+        InputError: there is none, or it is outside, or no regular file: a pipe could be waited for for ever.
+    """
+    found = inside(project, path)
+    if not found.is_file():
+        raise InputError(f"path: expected a file, got {path!r:.80}")
+    return found
+
+
+def place(project: Path, path: str) -> Path:
+    """Return where something new goes in the project; its folder is made where there is none.
+
+    Raises:
+        OutputError: there is something already, or its folder cannot be made or is a link, by which what is
+            written would land elsewhere.
+    """
+    target, folder = project / path, os.path.dirname(path)
+    if os.path.realpath(target.parent) != os.path.join(os.path.realpath(project), folder).rstrip("/"):
+        raise OutputError(f"{folder}: is a link; expected a folder of the project")
+    if os.path.lexists(target):
+        raise OutputError(f"{path}: exists already; choose another name")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written: {error.strerror}") from error
+    return target
+
+
+def write_new(project: Path, path: str, content: bytes) -> None:
+    """Write a new file into the project.
+
+    Raises:
+        OutputError: it exists, cannot be written, or would land elsewhere by a link; no part of it is left.
+    """
+    target = place(project, path)
+    try:
+        with target.open("xb") as file:
+            file.write(content)
+    except FileExistsError as error:
+        raise OutputError(f"{path}: exists already; choose another name") from error
+    except OSError as error:
+        target.unlink(missing_ok=True)
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
 def contents(project: Path) -> dict[str, object]:
-    """Return what the project holds, as content for JSON; newest first."""
+    """Return what the project holds, as content for JSON: the newest `MOST_ENTRIES` of each folder."""
     campaigns = [
-        {**entry, "logs": sum(map(_is_log, (project / entry["path"]).iterdir()))}
+        {**entry, "logs": sum(map(_is_log, os.scandir(project / entry["path"])))}
         for entry in _entries(project, CAMPAIGNS)
         if (project / entry["path"]).is_dir()
     ]
@@ -76,43 +159,51 @@ def contents(project: Path) -> dict[str, object]:
 
 def logs(project: Path) -> list[str]:
     """Return the newest logs of campaigns, drives and recordings, relative to the project."""
-    patterns = (f"{CAMPAIGNS}/*/*", f"{DRIVES}/*", f"{RECORDINGS}/*")
-    found = [place for pattern in patterns for place in project.glob(pattern)]
-    places = [place for place in found if _is_log(place) and _is_inside(project, place)]
-    places.sort(key=_changed_s, reverse=True)
-    return [place.relative_to(project).as_posix() for place in places[:MOST_LOGS]]
+    campaigns = [entry["path"] for entry in _entries(project, CAMPAIGNS)]
+    found = [
+        (_changed_s(child), f"{folder}/{child.name}")
+        for folder in (*campaigns, DRIVES, RECORDINGS)
+        for child in _children(project, folder)
+        if _is_log(child)
+    ]
+    return [path for _, path in sorted(found, reverse=True)[:MOST_LOGS]]
 
 
-def _is_log(place: Path) -> bool:
-    return place.name.endswith(LOG_FORMATS) and all(NAME.fullmatch(part) for part in place.parts[-2:])
+def _is_log(child: os.DirEntry[str]) -> bool:
+    return child.name.endswith(LOG_FORMATS) and NAME.fullmatch(child.name) is not None
 
 
-def _is_inside(project: Path, place: Path) -> bool:
-    """Return whether a place is in the project, also where links lead to."""
-    return Path(os.path.realpath(place)).is_relative_to(os.path.realpath(project))
+def _children(project: Path, folder: str) -> list[os.DirEntry[str]]:
+    """Return what is in a folder, and in the project also where links lead to."""
+    place, root = project / folder, os.path.realpath(project)
+    if not place.is_dir() or not _is_inside(root, place):
+        return []
+    return [
+        child
+        for child in os.scandir(place)
+        if NAME.fullmatch(child.name) and (not child.is_symlink() or _is_inside(root, Path(child.path)))
+    ]
 
 
-def _changed_s(place: Path) -> float:
+def _is_inside(root: str, place: Path) -> bool:
+    return Path(os.path.realpath(place)).is_relative_to(root)
+
+
+def _changed_s(child: os.DirEntry[str]) -> float:
     """Return when a file was changed, s; 0 where it has gone meanwhile."""
     try:
-        return place.lstat().st_mtime
+        return child.stat(follow_symlinks=False).st_mtime
     except OSError:
         return 0.0
 
 
 def _entries(project: Path, folder: str) -> list[dict[str, str]]:
-    place = project / folder
-    if not place.is_dir():
-        return []
-    children = [
-        child for child in place.iterdir() if NAME.fullmatch(child.name) and _is_inside(project, child)
-    ]
-    children.sort(key=_changed_s, reverse=True)
+    newest = sorted(_children(project, folder), key=_changed_s, reverse=True)
     return [
         {
             "name": child.name,
             "path": f"{folder}/{child.name}",
             "changed": datetime.fromtimestamp(_changed_s(child), UTC).isoformat(timespec="seconds"),
         }
-        for child in children
+        for child in newest[:MOST_ENTRIES]
     ]

@@ -1,6 +1,7 @@
 """A run: the plan of the operator while it is carried out, with its logs."""
 
 import json
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
@@ -9,9 +10,10 @@ import numpy as np
 
 from hitchid.control import PositionController, load_controller
 from hitchid.data.record import DISPLACEMENT
-from hitchid.errors import InputError, OutputError
+from hitchid.errors import InputError
 from hitchid.hmi import plans, project
 from hitchid.hmi.campaign import campaign
+from hitchid.hmi.disk import Disk
 from hitchid.hmi.drive_program import Target, check_clock_and_units, drive
 from hitchid.hmi.limits import Limits
 from hitchid.hmi.program import Program, Step, apply
@@ -30,6 +32,7 @@ class Run:
         source: that is driven.
         limits: of commands and travel.
         displacement: now.
+        disk: that its logs are handed to.
 
     Attributes:
         plan: of the operator.
@@ -37,43 +40,42 @@ class Run:
         number: of the present log.
         displacement: at which the plan was armed.
         target: of a closed loop.
+        has_folder: whether the folder of its logs was made; before that nothing should move.
 
     Raises:
         InputError: a file of the plan cannot be used, or its place is taken.
     """
 
     def __init__(
-        self, root: Path, plan: plans.Plan, source: Source, limits: Limits, displacement: float
+        self,
+        root: Path,
+        plan: plans.Plan,
+        source: Source,
+        limits: Limits,
+        displacement: float,
+        disk: Disk,
     ) -> None:
         self.plan, self.step, self.number = plan, CLOSED_STEP, 0
-        self.displacement = displacement
+        self.displacement, self.has_folder = displacement, False
+        self._root, self._disk = root, disk
         self.target = Target(displacement)
         self._signals = source.signals
         units = {signal.name: signal.unit for signal in source.signals}
-        self._folder, self._program = self._prepare(root, source.step_s, limits, units)
+        self.folder, self._program = self._prepare(root, source.step_s, limits, units)
         self._recorder: Recorder | None = None
         self._has_begun, self._log = False, ""
 
-    @property
-    def folder(self) -> str:
-        """Folder of the logs, relative to the project."""
-        return (
-            f"{self._folder.parent.name}/{self._folder.name}" if self.plan.kind != "drive" else project.DRIVES
-        )
-
     def begin(self) -> None:
-        """Make the folder of the logs.
+        """Have the folder of the logs made, which `has_folder` tells."""
+        self._disk.put(self._make_folder)
 
-        Raises:
-            OutputError: it cannot be written.
-        """
-        try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            if self.plan.kind != "drive" and not (self._folder / project.CAMPAIGN_FILE).exists():
-                text = _campaign_file(self._signals)
-                (self._folder / project.CAMPAIGN_FILE).write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise OutputError(f"{self._folder}: cannot be written: {error.strerror}") from error
+    def _make_folder(self) -> None:
+        campaign_file = f"{self.folder}/{project.CAMPAIGN_FILE}"
+        if self.plan.kind != "drive" and not os.path.lexists(self._root / campaign_file):
+            project.write_new(self._root, campaign_file, _campaign_file(self._signals).encode())
+        if self.plan.kind != "campaign":
+            project.place(self._root, f"{self.folder}/{self.plan.name}.csv")
+        self.has_folder = True
 
     def advance(self, displacement: float) -> bool:
         """Take the step of a sample from its displacement; False at the end of the plan.
@@ -91,17 +93,14 @@ class Run:
         return True
 
     def record(self, readings: Sequence[Reading]) -> None:
-        """Append the samples of the present step to its log; called after its commands were sent.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
+        """Append the samples of the present step to its log; called after its commands were sent."""
         if self.step.log != self._log:
             self._close_log()
             self._log = self.step.log
             if self._log:
                 self.number += 1
-                self._recorder = Recorder(self._folder / f"{self._log}.csv", self._signals)
+                path = f"{self.folder}/{self._log}.csv"
+                self._recorder = Recorder(self._root, path, self._signals, self._disk)
         if self._recorder is not None:
             self._recorder.append(readings)
 
@@ -135,20 +134,20 @@ class Run:
 
     def _prepare(
         self, root: Path, step_s: float, limits: Limits, units: dict[str, str]
-    ) -> tuple[Path, Program]:
+    ) -> tuple[str, Program]:
+        """Return the folder of the logs, relative to the project, and the program."""
         plan, displacement = self.plan, self.target.displacement
         if isinstance(plan, plans.DrivePlan):
-            folder = root / project.DRIVES
-            _check_free(folder / f"{plan.name}.csv")
-            controller = load_controller(project.inside(root, plan.controller)).controller
+            _check_free(root, f"{project.DRIVES}/{plan.name}.csv")
+            controller = load_controller(project.file_inside(root, plan.controller)).controller
             check_clock_and_units(controller.step_s, step_s, units)
-            return folder, drive(
+            return project.DRIVES, drive(
                 cast(PositionController, controller), plan.name, displacement, self.target, limits
             )
         if isinstance(plan, plans.FilePlan):
-            folder = root / project.CAMPAIGNS / (plan.campaign or plan.name)
-            _check_free(folder / f"{plan.name}.csv")
-            commands = plans.read_commands(project.inside(root, plan.file), step_s)
+            folder = f"{project.CAMPAIGNS}/{plan.campaign or plan.name}"
+            _check_free(root, f"{folder}/{plan.name}.csv")
+            commands = plans.read_commands(project.file_inside(root, plan.file), step_s)
             for name, largest, highest in zip(
                 REQUIRED[:2], limits.commands, commands.max(axis=0), strict=True
             ):
@@ -157,15 +156,15 @@ class Run:
                         f"{plan.file}: {name} reaches {highest:g} {units[name]}; the limit is {largest:g}"
                     )
             return folder, apply(displacement, commands, plan.name, limits, step_s)
-        folder = root / project.CAMPAIGNS / plan.name
-        _check_free(folder)
+        folder = f"{project.CAMPAIGNS}/{plan.name}"
+        _check_free(root, folder)
         pair = units[LIFTING_COMMAND], units[DISPLACEMENT]
         return folder, campaign(plan, displacement, limits, step_s, pair)
 
 
-def _check_free(path: Path) -> None:
-    if path.exists():
-        raise InputError(f"{path.parent.name}/{path.name}: exists already; choose another name")
+def _check_free(root: Path, path: str) -> None:
+    if os.path.lexists(root / path):
+        raise InputError(f"{path}: exists already; choose another name")
 
 
 def _campaign_file(signals: Sequence[Signal]) -> str:

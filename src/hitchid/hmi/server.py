@@ -2,10 +2,13 @@
 
 import asyncio
 import contextlib
+import errno
 import json
+import resource
 import socket
+import sys
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from importlib import resources
 from mimetypes import guess_type
 from typing import Any
@@ -16,22 +19,33 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from hitchid.errors import HitchError, InputError, OutputError
+from hitchid.errors import HitchError, InputError
 from hitchid.hmi import project
 from hitchid.hmi.console import MEASURED, Console, Settings
-from hitchid.hmi.guard import Guard, Sessions, cookie_name
+from hitchid.hmi.guard import SESSION, Guard, Sessions, cookie_name
 from hitchid.hmi.history import packed_rows
 
 HOST = "127.0.0.1"
 MOST_JSON = 65_536  # bytes of a request, and of a message of a page; chosen
 MOST_UPLOAD = 5_000_000  # bytes of an uploaded file
+MOST_BODIES = 4  # requests with content that are read at once, to bound their memory; chosen
+LONGEST_REQUEST_S = 10.0  # s that headers, and again a body, may take to arrive on this machine; chosen
+MOST_WAITING = 64  # connections that the system keeps until they are accepted; chosen
+TOLD_EVERY_S = 10.0  # s between two messages that there are too many connections; chosen
 MOST_WRONG = 20  # messages of a page that are not understood, after which it is disconnected; chosen
 MOST_POINTS = 20_000  # rows of an answer with history; chosen
 PAGE = resources.files("hitchid.hmi") / "page"
 INDEX = "index.html"
 
-Endpoint = Callable[[Request], Any]
+
+class Answer(JSONResponse):
+    """Content as JSON in ASCII: also half a character, as a request may carry it, can be sent back."""
+
+    def render(self, content: Any) -> bytes:
+        """Return the bytes of the answer."""
+        return json.dumps(content, allow_nan=False).encode()
 
 
 class Server:
@@ -42,7 +56,7 @@ class Server:
         port: to listen at; 0 for a free one.
 
     Raises:
-        InputError: the port is taken.
+        InputError: the port is taken, or the project is served already.
     """
 
     def __init__(self, settings: Settings, port: int = 0) -> None:
@@ -54,9 +68,12 @@ class Server:
         except OSError as error:
             raise InputError(f"port {port}: {error.strerror}; choose another --port") from error
         self.port = self._socket.getsockname()[1]
+        self._lock = project.lock(settings.root, f"http://{HOST}:{self.port}/")
         self._sessions = Sessions()
         self._console = Console(settings)
         self._pages = _page_files()
+        self._bodies = asyncio.Semaphore(MOST_BODIES)
+        self._told_s = -TOLD_EVERY_S
 
     def new_link(self) -> str:
         """Return a link that opens the page once."""
@@ -84,35 +101,69 @@ class Server:
             Guard(application, self._sessions, self.port),  # pyright: ignore[reportArgumentType]
             log_level="warning",
             access_log=False,
+            http="h11",
             ws="websockets-sansio",
+            backlog=MOST_WAITING,
             ws_max_size=MOST_JSON,
             ws_per_message_deflate=False,
             timeout_graceful_shutdown=2,
             server_header=False,
         )
-        uvicorn.Server(config).run(sockets=[self._socket])
+        _, most_files = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most_files, most_files))
+        self._uvicorn = uvicorn.Server(config)
+        self._uvicorn.run(sockets=[self._socket])
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
-        alive = asyncio.create_task(self._console.keep_alive())
+        asyncio.get_running_loop().set_exception_handler(self._tell_problem)
+        tasks = [asyncio.create_task(self._console.keep_alive()), asyncio.create_task(self._end_unfinished())]
         try:
             yield
         finally:
-            alive.cancel()
+            for task in tasks:
+                task.cancel()
             await self._console.end()
 
+    async def _end_unfinished(self) -> None:
+        """Close each connection that takes too long for the headers of its first, or of a further request."""
+        since_s: dict[tuple[H11Protocol, object], float] = {}
+        while True:
+            await asyncio.sleep(1.0)
+            now_s = time.monotonic()
+            waiting = [
+                (connection, connection.cycle)
+                for connection in self._uvicorn.server_state.connections
+                if isinstance(connection, H11Protocol)
+                and (connection.cycle is None or connection.cycle.response_complete)
+            ]
+            since_s = {place: since_s.get(place, now_s) for place in waiting}
+            for (connection, _), begun_s in since_s.items():
+                if now_s - begun_s > LONGEST_REQUEST_S:
+                    connection.transport.abort()
+
+    def _tell_problem(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Tell what nobody has caught; of connections beyond the limit of open files one line is enough."""
+        error = context.get("exception")
+        if not isinstance(error, OSError) or error.errno not in (errno.EMFILE, errno.ENFILE):
+            loop.default_exception_handler(context)
+        elif time.monotonic() - self._told_s > TOLD_EVERY_S:
+            self._told_s = time.monotonic()
+            sys.stderr.write("hitchid hmi: too many connections are open; new ones have to wait\n")
+
     async def _open_session(self, request: Request) -> Response:
-        content = await _json(request)
+        content = await self._json(request)
         session = self._sessions.redeem(content.get("token"))
         if session is None:
             error = "this link was used already or is too old; ask for another, or start hitchid hmi again"
-            return JSONResponse({"error": error}, 401)
+            return Answer({"error": error}, 401)
         response = Response(status_code=204)
         response.set_cookie(cookie_name(self.port), session, httponly=True, samesite="strict")
         return response
 
     async def _project(self, _: Request) -> Response:
-        return JSONResponse(project.contents(self._console.settings.root))
+        # In a thread: what the bench loop hears from this process must not wait for thousands of files.
+        return Answer(await asyncio.to_thread(project.contents, self._console.settings.root))
 
     async def _history(self, request: Request) -> Response:
         begin_s, end_s, points = (_number(request, name) for name in ("from", "to", "points"))
@@ -123,45 +174,63 @@ class Server:
         return Response(packed_rows(MEASURED, rows, 1e3 * time.time()), media_type="application/octet-stream")
 
     async def _start_job(self, request: Request) -> Response:
-        return JSONResponse({"id": self._console.jobs.start(await _json(request))})
+        self._console.clients.check_operates(request.scope[SESSION])
+        return Answer({"id": self._console.jobs.start(await self._json(request))})
 
     async def _stop_job(self, request: Request) -> Response:
+        self._console.clients.check_operates(request.scope[SESSION])
         self._console.jobs.stop(request.path_params["number"])
         return Response(status_code=204)
 
     async def _upload(self, request: Request) -> Response:
-        name = project.checked_name(request.query_params.get("name"))
-        content = await _body(request, MOST_UPLOAD)
-        place = self._console.settings.root / project.UPLOADS / name
-        try:
-            place.parent.mkdir(parents=True, exist_ok=True)
-            with place.open("xb") as file:
-                file.write(content)
-        except FileExistsError as error:
-            raise InputError(f"{name}: exists already; choose another name") from error
-        except OSError as error:
-            raise OutputError(f"{name}: cannot be written: {error.strerror}") from error
+        self._console.clients.check_operates(request.scope[SESSION])
+        path = f"{project.UPLOADS}/{project.checked_name(request.query_params.get('name'))}"
+        content = await self._body(request, MOST_UPLOAD)
+        await asyncio.to_thread(project.write_new, self._console.settings.root, path, content)
         self._console.clients.publish({"type": "project_changed"})
-        return JSONResponse({"path": f"{project.UPLOADS}/{name}"})
+        return Answer({"path": path})
 
     async def _link(self, _: Request) -> Response:
-        return JSONResponse({"link": self.new_link()})
+        return Answer({"link": self.new_link()})
+
+    async def _json(self, request: Request) -> dict[str, Any]:
+        try:
+            content = json.loads(await self._body(request, MOST_JSON))
+        except (ValueError, RecursionError) as error:
+            raise InputError("the request is no JSON") from error
+        if not isinstance(content, dict):
+            raise InputError("the request is no JSON object")
+        return content
+
+    async def _body(self, request: Request, most: int) -> bytes:
+        """Return the content of a request; of many at once some wait unread, and none waits for ever."""
+        content = bytearray()
+        try:
+            async with asyncio.timeout(LONGEST_REQUEST_S), self._bodies:
+                async for chunk in request.stream():
+                    content += chunk
+                    if len(content) > most:
+                        raise InputError(f"the request is larger than {most / 1e6:g} MB")
+        except ClientDisconnect as error:
+            raise InputError("the request ended early; send it again") from error
+        except TimeoutError as error:
+            raise InputError("the request took too long to arrive; send it again") from error
+        return bytes(content)
 
     async def _file(self, request: Request) -> Response:
-        place = project.inside(self._console.settings.root, request.path_params["path"])
-        if not place.is_file():
-            raise InputError("path: expected a file")
-        return FileResponse(place)
+        return FileResponse(project.file_inside(self._console.settings.root, request.path_params["path"]))
 
     async def _page(self, request: Request) -> Response:
         name = request.path_params["path"] or INDEX
         if name not in self._pages:
-            return JSONResponse({"error": "there is no such page"}, 404)
+            return Answer({"error": "there is no such page"}, 404)
         return Response(self._pages[name], media_type=guess_type(name)[0] or "text/plain")
 
     async def _websocket(self, websocket: WebSocket) -> None:
+        session = websocket.scope[SESSION]
         await websocket.accept()
-        client = self._console.welcome()
+        self._sessions.connect(session)
+        client = self._console.welcome(session)
 
         async def send() -> None:
             while True:
@@ -173,7 +242,7 @@ class Server:
 
         sending = asyncio.create_task(send())
         try:
-            self._console.greet(client)
+            await self._console.greet(client)
             self._console.publish_status()
             await self._receive(websocket, client)
         except (WebSocketDisconnect, RuntimeError):  # RuntimeError: closed while a message was sent
@@ -181,6 +250,7 @@ class Server:
         finally:
             sending.cancel()
             self._console.part(client)
+            self._sessions.disconnect(session)
 
     async def _receive(self, websocket: WebSocket, client: Any) -> None:
         wrong = 0
@@ -220,28 +290,6 @@ def _parsed(message: Any) -> dict[str, Any] | None:
     return content if isinstance(content, dict) and isinstance(content.get("type"), str) else None
 
 
-async def _body(request: Request, most: int) -> bytes:
-    content = bytearray()
-    try:
-        async for chunk in request.stream():
-            content += chunk
-            if len(content) > most:
-                raise InputError(f"the request is larger than {most / 1e6:g} MB")
-    except ClientDisconnect as error:
-        raise InputError("the request ended early; send it again") from error
-    return bytes(content)
-
-
-async def _json(request: Request) -> dict[str, Any]:
-    try:
-        content = json.loads(await _body(request, MOST_JSON))
-    except (ValueError, RecursionError) as error:
-        raise InputError("the request is no JSON") from error
-    if not isinstance(content, dict):
-        raise InputError("the request is no JSON object")
-    return content
-
-
 def _number(request: Request, name: str) -> float:
     text = request.query_params.get(name, "")
     try:
@@ -254,4 +302,4 @@ def _number(request: Request, name: str) -> float:
 
 
 async def _refused(_: Request, error: Exception) -> Response:
-    return JSONResponse({"error": str(error)}, 400)
+    return Answer({"error": str(error)}, 400)

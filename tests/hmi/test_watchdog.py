@@ -1,0 +1,154 @@
+"""Whoever stops the bench loop, and however: zero is sent, and the loop that goes on is told."""
+
+import json
+import os
+import select
+import signal
+import socket
+import time
+from multiprocessing.connection import Connection
+
+import pytest
+
+from fake_bench import Machine
+from hitchid.hmi.bench_process import Link
+from hitchid.hmi.safety import State
+from hitchid.hmi.watchdog import Watchdog
+
+NEVER_S = 60.0
+LONGEST_S = 30.0  # s for another process on a machine with much else to do
+
+
+class Wire:
+    """A wire to the valves, which any process can send to, and a second one to the server."""
+
+    def __init__(self):
+        self.read, self.write = os.pipe()
+        self.told, self.tell = os.pipe()
+
+    def zero(self):
+        os.write(self.write, b"0")
+
+    def say(self, sent):
+        os.write(self.tell, b"yes" if sent else b"no")
+
+    def taken(self, wire, longest_s=LONGEST_S):
+        """Return what has arrived at the other end; nothing after `longest_s` s."""
+        return os.read(wire, 100) if select.select([wire], [], [], longest_s)[0] else b""
+
+
+@pytest.fixture
+def wire():
+    """Return a wire to the valves."""
+    return Wire()
+
+
+def ended(watchdog):
+    return os.waitpid(watchdog.process, 0)[1] == 0
+
+
+def test_a_killed_loop_leaves_closed_valves_and_the_server_is_told(wire):
+    watchdog = Watchdog(wire.zero, wire.say, NEVER_S)
+    watchdog._link.close()  # what the system does for a process that is killed
+    assert wire.taken(wire.read)[:1] == b"0"
+    assert wire.taken(wire.told) == b"yes"
+    assert ended(watchdog)
+
+
+def test_a_source_that_takes_no_zero_is_told_as_well(wire):
+    def fail():
+        raise OSError("the plug was pulled")
+
+    watchdog = Watchdog(fail, wire.say, NEVER_S)
+    watchdog._link.close()
+    assert wire.taken(wire.told) == b"no"
+    assert ended(watchdog)
+
+
+def test_a_source_that_does_not_return_ends_the_watchdog(wire):
+    watchdog = Watchdog(lambda: time.sleep(NEVER_S), wire.say, NEVER_S)
+    watchdog._link.close()
+    assert not ended(watchdog)
+
+
+def test_a_silent_loop_is_sent_zero_for_and_told_when_it_goes_on(wire):
+    watchdog = Watchdog(wire.zero, wire.say, 0.02)
+    assert wire.taken(wire.read)[:1] == b"0"  # this process stands still meanwhile, as one that is frozen
+    while watchdog.alive():  # until its word has arrived
+        assert wire.taken(wire.read)
+    watchdog.end()
+    assert ended(watchdog)
+
+
+def test_a_loop_that_lives_and_ends_in_order_is_left_alone(wire):
+    watchdog = Watchdog(wire.zero, wire.say, NEVER_S)
+    assert all(watchdog.alive() for _ in range(100))
+    watchdog.end()
+    assert ended(watchdog)
+    assert wire.taken(wire.read, 0.0) == wire.taken(wire.told, 0.0) == b""
+
+
+def test_a_watchdog_that_was_frozen_does_not_act_once_nothing_can_move(wire):
+    watchdog = Watchdog(wire.zero, wire.say, NEVER_S)
+    os.kill(watchdog.process, signal.SIGSTOP)
+    assert all(watchdog.alive() for _ in range(1000))  # more than wait in a socket
+    watchdog.end()
+    assert not ended(watchdog)
+    assert wire.taken(wire.read, 0.0) == b""
+
+
+def test_a_watchdog_that_was_killed_is_noticed():
+    watchdog = Watchdog(lambda: None, lambda _: None, NEVER_S)
+    os.kill(watchdog.process, signal.SIGKILL)
+    assert not ended(watchdog)
+    assert not watchdog.alive()
+
+
+class Watched(Machine):
+    """A machine at the end of a wire."""
+
+    def __init__(self, wire):
+        super().__init__()
+        self.wire = wire
+
+    def write(self, commands):
+        super().write(commands)
+        os.write(self.wire.write, b"+" if any(commands) else b"0")
+
+
+def test_a_run_is_over_once_the_watchdog_had_to_act(make_bench, write_test, wire):
+    bench = make_bench(Watched(wire), allow_output=True)
+    bench.run(**write_test(lifting=0.36, duration_s=600.0))
+    bench.tick(5)
+    while not wire.taken(wire.read).endswith(b"0"):  # silent: the zero comes from the other process
+        pass
+    end_s = time.monotonic() + LONGEST_S
+    while bench.state is State.RUNNING and time.monotonic() < end_s:  # its word may come a moment later
+        bench.tick()
+    assert "its watchdog has sent zero" in bench.reason
+    assert bench.plant.sent[-1] == (0.0, 0.0)
+    bench.tick(20)
+    assert set(bench.plant.sent[-20:]) == {(0.0, 0.0)}
+
+
+def test_a_server_that_freezes_in_the_middle_of_a_message_is_not_waited_for():
+    own, other = socket.socketpair()
+    link = Link(Connection(own.detach()))
+    message = json.dumps({"type": "server_alive", "at_s": 1.0}).encode()
+    whole = len(message).to_bytes(4, "big") + message
+    other.sendall(whole[:10])
+    assert link.requests() == []
+    other.sendall(whole[10:])
+    end_s = time.monotonic() + LONGEST_S
+    while not (requests := link.requests()):
+        assert time.monotonic() < end_s
+    assert requests == [{"type": "server_alive", "at_s": 1.0}]
+    other.sendall(whole[:10])
+    other.close()
+    with pytest.raises(EOFError):
+        wait_for_end(link, end_s)
+
+
+def wait_for_end(link, end_s):
+    while time.monotonic() < end_s:
+        link.requests()
