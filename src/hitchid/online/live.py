@@ -129,23 +129,23 @@ class Live:
         doubtful = stamped and self._is_doubtful(stamp, offset)
         if doubtful and not self._is_agreed(stamp):
             doubt = "out of order" if stamp <= before_s else "doubtful"
-            return self._output([*flags, f"{doubt}: {stamp:g} s follows {before_s:g} s"])
+            return self._output([*flags, f"{doubt}: {stamp:.12g} s follows {before_s:.12g} s"])
         skipped, replaced = [], {}
         if offset > 0:
-            flags.append(f"late: {offset} samples are missing before {time_s:g} s")
+            flags.append(f"late: {offset} samples are missing before {time_s:.12g} s")
             skipped = self._fill_gap(offset, sample)
         elif offset < 0 and (doubtful or -offset > len(self._history)):
-            flags.append(f"the clock was set back from {self._next_sample_s:g} s to {stamp:g} s")
+            flags.append(f"the clock was set back from {self._next_sample_s:.12g} s to {stamp:.12g} s")
             self._follow_clock(-offset, sample)
         elif offset < 0:
             if stamp < before_s:
-                flags.append(f"out of order: {stamp:g} s follows {before_s:g} s, which is left out")
+                flags.append(f"out of order: {stamp:.12g} s follows {before_s:.12g} s, which is left out")
                 self._doubted.clear()
             replaced = self._undo_steps(-offset)
         if TIME in replaced:
             flags.append(
-                f"early: the samples at {replaced[TIME]:g} s and {time_s:g} s are in the same "
-                f"sampling step; the sample at {time_s:g} s is used"
+                f"early: the samples at {replaced[TIME]:.12g} s and {time_s:.12g} s are in the same "
+                f"sampling step; the sample at {time_s:.12g} s is used"
             )
         merged = {**replaced, **sample}
         self._step(merged)
