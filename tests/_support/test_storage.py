@@ -1,5 +1,6 @@
 """Results on disk: one form for equal content, whole or not at all, nothing replaced unasked."""
 
+import errno
 import hashlib
 import json
 import os
@@ -7,6 +8,8 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tempfile
+from contextlib import suppress
 
 import pytest
 from hypothesis import given
@@ -24,6 +27,9 @@ from hitchid._support.storage import (
     write_folder,
 )
 from hitchid.errors import OutputError
+
+with suppress(ImportError):  # Windows
+    import fcntl
 
 characters = st.text(st.characters(codec="utf-8"))
 numbers = st.floats(allow_nan=False, allow_infinity=False) | st.integers()
@@ -267,6 +273,49 @@ def test_a_file_that_could_not_be_written_leaves_all_as_it_was(tmp_path):
         write_file(tmp_path / "a", half, force=True)
     assert left_in(tmp_path) == ["a"]
     assert (tmp_path / "a").read_text() == "old"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there are no such locks")
+@pytest.mark.parametrize("name", ["a", "file [1]*"])
+def test_what_killed_writers_left_is_removed_and_what_others_write_is_not(tmp_path, name):
+    """A writer holds a lock on its folder, which ends with it."""
+    left, written, mine = (
+        tmp_path / f".{name}-{end}" for end in ("0123abcd.writing", "4567abcd.writing", "mine")
+    )
+    for folder in (left, written, mine):
+        folder.mkdir()
+        (folder / "mark.json").write_text("half")
+    writer = os.open(written, os.O_RDONLY)
+    fcntl.flock(writer, fcntl.LOCK_EX)
+    write_folder(tmp_path / name, fill("new"), result_kind="mark.json", force=False)
+    assert {path.name for path in tmp_path.iterdir()} == {written.name, mine.name, name}
+    os.close(writer)
+    write_folder(tmp_path / name, fill("newer"), result_kind="mark.json", force=True)
+    assert {path.name for path in tmp_path.iterdir()} == {mine.name, name}
+
+
+def test_a_writer_leaves_alone_what_another_one_of_its_target_writes(tmp_path):
+    def slow(path):
+        write_file(tmp_path / "a", lambda other: other.write_text("first") and None, force=True)
+        path.write_text("second")
+
+    write_file(tmp_path / "a", slow, force=True)
+    assert (tmp_path / "a").read_text() == "second"
+    assert left_in(tmp_path) == ["a"]
+
+
+@pytest.mark.parametrize("number", [errno.EROFS, errno.ENOSPC, errno.EACCES])
+def test_a_place_that_cannot_be_written_is_refused_before_any_work(tmp_path, monkeypatch, number):
+    def refuse(*_, dir):
+        assert dir == tmp_path
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", refuse)
+    said = f"a: cannot be written: {os.strerror(number)}"
+    with pytest.raises(OutputError, match=said):
+        check_folder(tmp_path / "new" / "a", result_kind="mark.json", force=False)
+    with pytest.raises(OutputError, match=said):
+        check_file(tmp_path / "new" / "a", force=False)
 
 
 # --- a disk that is full, a folder that is read-only --------------------------------------------------------

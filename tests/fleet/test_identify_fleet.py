@@ -1,5 +1,6 @@
 """A fleet is identified: equal models whoever works on them, nothing lost, nothing done twice."""
 
+import errno
 import json
 import multiprocessing
 import os
@@ -7,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from dataclasses import replace
@@ -17,7 +19,7 @@ import numpy as np
 import pytest
 
 import hitchid
-from hitchid.errors import InputError
+from hitchid.errors import InputError, OutputError
 from hitchid.fleet import FleetResult, Runner, Store, StoreError, identify_fleet, read_rows
 from hitchid.fleet.cluster import check_scheduler, run_on_cluster
 from hitchid.fleet.identify import identification_job
@@ -135,9 +137,46 @@ def test_failures_with_the_same_cause_are_one_group(results):
     assert result.counts == {"failed": 4, "done": 1}
 
 
+def test_a_full_temporary_folder_is_told_and_makes_no_failure(logs, tmp_path, monkeypatch):
+    own = job(logs, tmp_path / "results")
+    (machine, *_) = machines_of(own.logs)
+    monkeypatch.setattr("hitchid.fleet.task.prepare_worker", lambda: None)
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def write(*_):
+        raise full
+
+    def save(*_):
+        raise OutputError(f"{tempfile.gettempdir()}: cannot be written: {full}")
+
+    for name, failing in [("task.download", write), ("identify_machine.IdentificationJob.work", save)]:
+        with monkeypatch.context() as context:
+            context.setattr(f"hitchid.fleet.{name}", failing)
+            acknowledgement = run_task(own, machine)
+        assert acknowledgement.state == UNFINISHED
+        assert tempfile.gettempdir() in acknowledgement.message
+        assert "No space left on device" in acknowledgement.message
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
+    assert str(tmp_path / "gone") in run_task(own, machine).message
+    assert read_rows(own.results) == ()
+
+
+def test_results_that_cannot_be_written_are_told_before_any_work(logs, tmp_path, monkeypatch):
+    def write(self, *_):
+        raise StoreError(f"{self.url}: read-only")
+
+    monkeypatch.setattr(Store, "write", write)
+    monkeypatch.setattr(Runner, "run", lambda *_: pytest.fail("work has begun"))
+    with pytest.raises(StoreError, match="results: read-only"):
+        identify_fleet(str(logs), str(tmp_path / "results"), settings=fleets.QUICK)
+
+
 @pytest.mark.long
-def test_a_killed_worker_loses_nothing(logs, results, tmp_path):
-    own, killed = job(logs, tmp_path), []
+def test_a_killed_worker_loses_nothing_and_leaves_no_logs(logs, results, tmp_path, monkeypatch):
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    own, killed = job(logs, tmp_path / "results"), []
     acknowledgements = []
     for acknowledgement in run_local(own, machines_of(own.logs), 2):
         acknowledgements.append(acknowledgement)
@@ -147,7 +186,8 @@ def test_a_killed_worker_loses_nothing(logs, results, tmp_path):
                 os.kill(process.pid, signal.SIGKILL)
     assert killed
     assert sorted(each.machine for each in acknowledgements) == sorted(os.listdir(logs))
-    assert fleets.model_digests(tmp_path) == fleets.model_digests(results)
+    assert fleets.model_digests(tmp_path / "results") == fleets.model_digests(results)
+    assert list(temporary.iterdir()) == []
 
 
 @pytest.mark.long
@@ -166,7 +206,7 @@ def test_a_machine_that_ends_every_worker_is_left_unfinished(logs, tmp_path):
     stop.set()
     killer.join()
     assert acknowledgement.state == UNFINISHED
-    assert f"ended {MAX_DEATHS} times" in acknowledgement.message
+    assert acknowledgement.message == f"its worker ended {MAX_DEATHS} times: killed, or out of memory"
     assert read_rows(own.results) == ()
 
 
@@ -177,7 +217,14 @@ def test_a_killed_run_goes_on_and_leaves_no_process(logs, results, tmp_path):
     own = tmp_path / "results"
     command = [sys.executable, "-m", "hitchid", "fleet", "identify", str(logs), "--out", str(own)]
     command += ["--config", str(settings), "--workers", "1"]
-    run = subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True)  # noqa: S603
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    run = subprocess.Popen(  # noqa: S603
+        command,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+        env={**os.environ, "TMPDIR": str(temporary)},
+    )
     deadline = time.monotonic() + 200
     while not list(own.glob("rows/*/*.json")) and time.monotonic() < deadline:
         time.sleep(0.05)
@@ -188,6 +235,7 @@ def test_a_killed_run_goes_on_and_leaves_no_process(logs, results, tmp_path):
     while _processes_of_session(run.pid) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not _processes_of_session(run.pid)
+    assert not list(temporary.glob("hitchid-fleet-*"))
     second = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)  # noqa: S603
     assert json.loads(second.stdout)["worked"] == MACHINES - done
     assert fleets.model_digests(own) == fleets.model_digests(results)

@@ -193,6 +193,12 @@ def test_a_sample_out_of_order_is_not_taken_in(early):
     assert live.process(full(0.03)) == other.process(full(0.03))
 
 
+def test_stamps_since_1970_are_told_to_their_decimals():
+    live = Live(MODEL)
+    live.process(full(1.7e9))
+    assert live.process(full(1.7e9 + 0.05)).flags == ("late: 4 samples are missing before 1700000000.05 s",)
+
+
 # --- clocks -------------------------------------------------------------------------------------------------
 
 

@@ -5,12 +5,14 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from hitchid.errors import InputError, OutputError
 
 MANIFEST_FILE = ".hitchid.json"  # kind of the result, and SHA-256 of its files
+UNFINISHED = ".writing"  # end of the name of a folder in which a result is being written
 MAX_NAMED = 3  # foreign files named in a message (chosen)
 
 
@@ -58,8 +60,7 @@ def write_folder(folder: Path, write: Callable[[Path], None], *, result_kind: st
     target = Path(os.path.realpath(folder))
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
-        try:
+        with _temporary_folder(target) as temporary:
             write(temporary)
             write_files(
                 temporary,
@@ -79,10 +80,54 @@ def write_folder(folder: Path, write: Callable[[Path], None], *, result_kind: st
                 raise
             fsync(target.parent)
             shutil.rmtree(backup, ignore_errors=True)
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written: {error}") from error
+
+
+@contextmanager
+def _temporary_folder(target: Path) -> Iterator[Path]:
+    """Yield a folder beside a target to write that in; it is removed at the end, if it still has its name.
+
+    The writer holds a lock on it until it ends, in whatever way. What killed writers of the same target left
+    is no longer locked, and removed here. Where there are no locks, as on Windows, it stays.
+    """
+    prefix = f".{target.name}-"
+    # No other writer may take the new folder for one that was left, before it is locked.
+    parent_lock = _lock(target.parent, wait=True)
+    try:
+        for left in target.parent.iterdir():
+            if left.name.startswith(prefix) and left.name.endswith(UNFINISHED):
+                lock = _lock(left, wait=False)
+                if lock is not None:
+                    shutil.rmtree(left, ignore_errors=True)
+                    os.close(lock)
+        folder = Path(tempfile.mkdtemp(prefix=prefix, suffix=UNFINISHED, dir=target.parent))
+        lock = _lock(folder, wait=False)
+    finally:
+        if parent_lock is not None:
+            os.close(parent_lock)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        if lock is not None:
+            os.close(lock)
+
+
+def _lock(folder: Path, *, wait: bool) -> int | None:
+    """Return the handle by which this process alone holds a folder; None where it cannot."""
+    try:
+        import fcntl
+
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    except (ImportError, OSError):
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except OSError:  # another process has it, or the file system has no locks
+        os.close(handle)
+        return None
+    return handle
 
 
 def _digests(folder: Path) -> dict[str, str]:
@@ -132,7 +177,7 @@ def check_folder(folder: Path, *, result_kind: str, force: bool) -> None:
     Raises:
         OutputError: it exists and must not be replaced, or cannot be written.
     """
-    _check_path(folder)
+    _check_path(folder, Path(os.path.realpath(folder)))  # the target of a link is what is written
     occupied = folder.exists() and not (folder.is_dir() and not any(folder.iterdir()))
     if occupied and not force:
         raise OutputError(f"{folder}: exists already; use a new folder, or --force to replace it")
@@ -206,15 +251,27 @@ def _link_targets(path: Path) -> list[Path]:
     return [Path(os.path.realpath(link)) for link in links]
 
 
-def _check_path(path: Path) -> None:
-    """Raise `OutputError` for an invalid file name, or a path below a file."""
+def _check_path(path: Path, written: Path) -> None:
+    """Check that a path may be written, before the work is done whose result it is to have.
+
+    Args:
+        path: as given.
+        written: the same, or the target of a link.
+
+    Raises:
+        OutputError: the file name is invalid, the path is below a file, or its folder cannot be written.
+    """
     try:
-        ancestor = next(parent for parent in path.absolute().parents if parent.exists())
+        ancestor = next(parent for parent in written.absolute().parents if parent.exists())
         path.exists()
+        if ancestor.is_dir():
+            with tempfile.TemporaryFile(
+                dir=ancestor
+            ):  # permissions alone do not tell: of root, of a full disk
+                return
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
-    if not ancestor.is_dir():
-        raise OutputError(f"{path}: cannot be written: {ancestor} is not a folder")
+    raise OutputError(f"{path}: cannot be written: {ancestor} is not a folder")
 
 
 def check_file(path: Path, *, force: bool) -> None:
@@ -223,7 +280,7 @@ def check_file(path: Path, *, force: bool) -> None:
     Raises:
         OutputError: it exists and must not be replaced, or cannot be written.
     """
-    _check_path(path)
+    _check_path(path, path)
     if path.exists() and not (force and path.is_file()):
         raise OutputError(f"{path}: exists already; use a new file, or --force to replace one")
 
@@ -242,8 +299,8 @@ def write_file(path: Path, write: Callable[[Path], None], *, force: bool) -> Non
     check_file(path, force=force)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent) as temporary_folder:
-            temporary_file = Path(temporary_folder) / path.name
+        with _temporary_folder(path) as temporary:
+            temporary_file = temporary / path.name
             write(temporary_file)
             fsync(temporary_file)
             temporary_file.replace(path)

@@ -1,7 +1,9 @@
 """Runner on the cores of this machine: one process a worker, each replaced where it dies."""
 
 import os
+import shutil
 import signal
+import tempfile
 import threading
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
@@ -12,9 +14,12 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import cast
 
+from hitchid.errors import OutputError
 from hitchid.fleet.machines import Machine
 from hitchid.fleet.task import UNFINISHED, Acknowledgement, Job
 
+REMOVALS = 10  # of a folder that is written meanwhile, until nothing more can be written in it; chosen
+KILL = 9  # the signal that ends a process when memory is short; Windows does not name it
 MAX_DEATHS = 3  # of workers on one machine, after which it is left unfinished; chosen, as in dask
 
 
@@ -45,32 +50,37 @@ def run_local(job: Job, machines: Sequence[Machine], workers: int) -> Iterator[A
                     if deaths[machine] < MAX_DEATHS:
                         waiting.append(machine)
                         continue
-                    message = f"its worker ended {MAX_DEATHS} times: killed, or out of memory"
+                    message = f"its worker ended {MAX_DEATHS} times: {worker.ending}"
                     acknowledgement = Acknowledgement(machine.name, UNFINISHED, message)
                 if acknowledgement is not None:
                     yield acknowledgement
     finally:
         for worker in crew:
             worker.process.kill()
-            worker.process.join()
+            worker.end()
 
 
 @dataclass
 class _Worker:
-    """A process, the connection to it, and the machine it works on."""
+    """A process, the connection to it, its temporary folder, and the machine it works on."""
 
     process: BaseProcess
     connection: Connection
+    folder: str
     machine: Machine | None = None
 
     @classmethod
     def start(cls, job: Job) -> "_Worker":
         context = get_context("spawn")
         ours, theirs = context.Pipe()
-        process = context.Process(target=_work, args=(theirs,), daemon=True)
+        try:
+            folder = tempfile.mkdtemp(prefix="hitchid-fleet-")
+        except OSError as error:
+            raise OutputError(f"no temporary folder can be made: {error}") from error
+        process = context.Process(target=_work, args=(theirs, folder), daemon=True)
         process.start()
         theirs.close()
-        worker = cls(process, cast("Connection", ours))
+        worker = cls(process, cast("Connection", ours), folder)
         worker._send(job)
         return worker
 
@@ -85,8 +95,21 @@ class _Worker:
         try:
             return self.connection.recv()
         except (EOFError, OSError):
-            self.process.join()
+            self.end()
             return None
+
+    def end(self) -> None:
+        """Wait for a process that ends, and remove what it left in its temporary folder."""
+        self.process.join()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    @property
+    def ending(self) -> str:
+        """How the process has ended, in words."""
+        code = self.process.exitcode or 0
+        if code in (-signal.SIGTERM, -KILL):
+            return "killed, or out of memory"
+        return f"by signal {-code}" if code < 0 else f"with code {code}, after the error that it wrote"
 
     def _send(self, value: Job | Machine) -> None:
         with suppress(OSError):
@@ -99,9 +122,10 @@ def _ready(crew: Sequence[_Worker]) -> list[_Worker]:
     return [worker for worker in crew if worker.connection in ready]
 
 
-def _work(connection: Connection) -> None:
-    """Work on machines until the connection is closed."""
+def _work(connection: Connection, folder: str) -> None:
+    """Work on machines until the connection is closed; logs and models are kept in a folder meanwhile."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all processes of a terminal
+    tempfile.tempdir = os.environ["TMPDIR"] = folder
     threading.Thread(target=_end_with_parent, daemon=True).start()
     from hitchid.fleet.worker import prepare_worker
 
@@ -121,4 +145,6 @@ def _end_with_parent() -> None:
     parent = parent_process()
     if parent is not None:
         wait([parent.sentinel])
+        for _ in range(REMOVALS):
+            shutil.rmtree(tempfile.gettempdir(), ignore_errors=True)
         os._exit(1)

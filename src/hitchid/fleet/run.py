@@ -130,6 +130,8 @@ def run_fleet(
     names = {each: row_name(each.name, each.signature(job.stamp(each.name))) for each in machines}
     before = rows_in(job.results)
     todo = [machine for machine, name in names.items() if name not in before]
+    if todo:
+        job.results.check_writable()
     worked, unfinished, started_s = 0, {}, time.monotonic()
     begin = FleetProgress(None, 0, len(todo), len(machines) - len(todo))
     progress(begin)

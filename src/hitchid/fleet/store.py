@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 # Fields of a listing, by the names that file systems give them.
 DIGEST_FIELDS = ("ETag", "etag", "md5", "md5Hash")
 TIME_FIELDS = ("mtime", "LastModified", "last_modified", "updated", "created")
+
+PROBE = ".writable"
 
 
 class StoreError(OutputError):
@@ -127,6 +130,16 @@ class Store:
                 raise StoreError(str(error)) from error
         else:
             self._call("write", name, lambda system, path: system.pipe_file(path, content))
+
+    def check_writable(self) -> None:
+        """Write a file without content and remove it, before work is done whose results are to be written.
+
+        Raises:
+            StoreError: the store cannot be written.
+        """
+        self.write(PROBE, b"")
+        with suppress(StoreError):  # a store may allow to write, and not to remove
+            self._call("remove", PROBE, lambda system, path: system.rm_file(path))
 
     def write_folder(self, name: str, files: Mapping[str, bytes], *, last: str) -> None:
         """Write the files of a folder one by one; the folder is complete when the file `last` exists.

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Generic
 
-from hitchid.errors import HitchError
+from hitchid.errors import HitchError, OutputError
 from hitchid.fleet.ledger import ROWS, read_rows, row_name
 from hitchid.fleet.machines import Machine, content_key
 from hitchid.fleet.row import DONE, FAILED, Cost, OneRow, TaskRow
-from hitchid.fleet.store import Store, StoreError, download
+from hitchid.fleet.store import Store, download
 from hitchid.fleet.worker import bound_memory, peak_bytes, prepare_worker
 
 UNFINISHED = "unfinished"  # no row: the store or the worker failed, not the logs
@@ -76,8 +76,11 @@ def run_task(job: Job, machine: Machine) -> Acknowledgement:
     try:
         row, worked = _outcome(job, machine)
         job.results.write(row_name(machine.name, row.signature), row.as_json())
-    except (StoreError, MemoryError) as error:
+    except (OutputError, MemoryError) as error:
         return Acknowledgement(machine.name, UNFINISHED, str(error) or type(error).__name__)
+    except OSError as error:  # of this computer, such as a full disk
+        reason = f"cannot work in the temporary folder {tempfile.gettempdir()}: {error}"
+        return Acknowledgement(machine.name, UNFINISHED, reason)
     bound_memory()
     return Acknowledgement(machine.name, row.state, row.message, worked, time.perf_counter() - started_s)
 
@@ -97,8 +100,8 @@ def _outcome(job: Job, machine: Machine) -> tuple[TaskRow, bool]:
         row, written = job.row_type(machine.name, key, signature, machine.date, DONE), 0
         try:
             row, written = job.work(row, folder)
-        except (StoreError, MemoryError):
-            raise
+        except (OutputError, OSError, MemoryError):
+            raise  # not of its logs
         except Exception as error:  # one machine's, which must not end the work on the others
             message = str(error) if isinstance(error, HitchError) else f"{type(error).__name__}: {error}"
             message = message.replace(f"{temporary}/", "")

@@ -23,6 +23,7 @@ MAX_GAP_SAMPLES = 1000  # longest gap that is simulated, 10 s at 100 Hz; a longe
 # s of the latest states, which are kept: steps within it can be taken back. A stamp that jumps farther is not
 # believed alone: what is simulated on its word could not be taken back where it is wrong. Chosen.
 KEPT_S = 1.0
+LEAST_KEPT = 10  # samples of a slow model that are kept however long they take: a few may be lost; chosen
 AGREEING = 5  # samples in a row whose clock is followed although it jumps: 0.05 s at 100 Hz; chosen
 STANDING = "standing"  # `Output.mode` before any channel was active
 DIGITS = 9  # decimals of `Output.time_s`: 1 ns, removes rounding errors
@@ -96,7 +97,8 @@ class Live:
         self._origin_s: float | None = None
         self._latest_s = self._settled_s = -math.inf  # latest time stamp, and latest that is not taken back
         self._steps = 0
-        self._most_taken_back = max(1, round(KEPT_S / model.step_s))
+        # Never more than are simulated: what was forgotten in a longer gap could not be taken back.
+        self._most_taken_back = min(max(LEAST_KEPT, round(KEPT_S / model.step_s)), MAX_GAP_SAMPLES)
         # Two more: the sample before a gap, and the one after it.
         self._history: deque[tuple[Packed | None, Sample]] = deque(maxlen=self._most_taken_back + 2)
         self._unused_s: deque[float] = deque(maxlen=2 * AGREEING)
@@ -127,23 +129,23 @@ class Live:
         doubtful = stamped and self._is_doubtful(stamp, offset)
         if doubtful and not self._is_agreed(stamp):
             doubt = "out of order" if stamp <= before_s else "doubtful"
-            return self._output([*flags, f"{doubt}: {stamp:g} s follows {before_s:g} s"])
+            return self._output([*flags, f"{doubt}: {stamp:.12g} s follows {before_s:.12g} s"])
         skipped, replaced = [], {}
         if offset > 0:
-            flags.append(f"late: {offset} samples are missing before {time_s:g} s")
+            flags.append(f"late: {offset} samples are missing before {time_s:.12g} s")
             skipped = self._fill_gap(offset, sample)
         elif offset < 0 and (doubtful or -offset > len(self._history)):
-            flags.append(f"the clock was set back from {self._next_sample_s:g} s to {stamp:g} s")
+            flags.append(f"the clock was set back from {self._next_sample_s:.12g} s to {stamp:.12g} s")
             self._follow_clock(-offset, sample)
         elif offset < 0:
             if stamp < before_s:
-                flags.append(f"out of order: {stamp:g} s follows {before_s:g} s, which is left out")
+                flags.append(f"out of order: {stamp:.12g} s follows {before_s:.12g} s, which is left out")
                 self._doubted.clear()
             replaced = self._undo_steps(-offset)
         if TIME in replaced:
             flags.append(
-                f"early: the samples at {replaced[TIME]:g} s and {time_s:g} s are in the same "
-                f"sampling step; the sample at {time_s:g} s is used"
+                f"early: the samples at {replaced[TIME]:.12g} s and {time_s:.12g} s are in the same "
+                f"sampling step; the sample at {time_s:.12g} s is used"
             )
         merged = {**replaced, **sample}
         self._step(merged)
