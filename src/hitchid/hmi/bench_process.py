@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from hitchid._support.outbox import Outbox
 from hitchid.errors import HitchError, InputError
 from hitchid.hmi.bench_loop import BenchLoop
 from hitchid.hmi.source import Reading
+from hitchid.hmi.watchdog import Watchdog
 
 BLOCK_S = 0.04  # s between blocks of samples to the server: 25 a second
 STATUS_S = 0.5  # s between states to the server where nothing changes
@@ -171,7 +173,7 @@ def main(arguments: Sequence[str]) -> None:
         allow_output=settings["allow_output"],
         limits_file=Path(limits) if limits else None,
         longest_silence_s=settings["longest_silence_s"],
-        tell=tell,
+        watch=partial(Watchdog, tell=tell),
     )
     link = Link(connection)
     gc.freeze()

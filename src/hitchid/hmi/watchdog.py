@@ -30,7 +30,7 @@ class Watchdog:
         longest_s: without a sign of life, after which zero is sent, s.
     """
 
-    def __init__(self, send_zero: Callable[[], None], tell: Callable[[bool], None], longest_s: float) -> None:
+    def __init__(self, send_zero: Callable[[], None], longest_s: float, tell: Callable[[bool], None]) -> None:
         self._link, other = socket.socketpair()
         with warnings.catch_warnings():
             # Python and JAX warn that a lock may be held by a thread that the new process lacks. It calls
@@ -40,7 +40,7 @@ class Watchdog:
         if self.process == 0:
             try:
                 self._link.close()
-                _watch(other, send_zero, tell, longest_s)
+                _watch(other, send_zero, longest_s, tell)
             finally:
                 os._exit(0)
         other.close()
@@ -72,7 +72,7 @@ class Watchdog:
 
 
 def _watch(
-    link: socket.socket, send_zero: Callable[[], None], tell: Callable[[bool], None], longest_s: float
+    link: socket.socket, send_zero: Callable[[], None], longest_s: float, tell: Callable[[bool], None]
 ) -> None:
     os.setsid()  # what ends the group of the bench loop should not end its watchdog
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
