@@ -45,7 +45,20 @@ def wire():
 
 
 def ended(watchdog):
+    """Wait for the end of a watchdog; return whether it ended by itself."""
     return os.waitpid(watchdog.process, 0)[1] == 0
+
+
+def is_gone(watchdog):
+    """Wait until nothing is left of a watchdog that was ended."""
+    end_s = time.monotonic() + LONGEST_S
+    while time.monotonic() < end_s:
+        try:
+            os.kill(watchdog.process, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.001)
+    return False
 
 
 def test_a_killed_loop_leaves_closed_valves_and_the_server_is_told(wire):
@@ -78,14 +91,14 @@ def test_a_silent_loop_is_sent_zero_for_and_told_when_it_goes_on(wire):
     while watchdog.alive():  # until its word has arrived
         assert wire.taken(wire.read)
     watchdog.end()
-    assert ended(watchdog)
+    assert is_gone(watchdog)
 
 
 def test_a_loop_that_lives_and_ends_in_order_is_left_alone(wire):
     watchdog = Watchdog(wire.zero, NEVER_S, wire.say)
     assert all(watchdog.alive() for _ in range(100))
     watchdog.end()
-    assert ended(watchdog)
+    assert is_gone(watchdog)
     assert wire.taken(wire.read, 0.0) == wire.taken(wire.told, 0.0) == b""
 
 
@@ -94,7 +107,7 @@ def test_a_watchdog_that_was_frozen_does_not_act_once_nothing_can_move(wire):
     os.kill(watchdog.process, signal.SIGSTOP)
     assert all(watchdog.alive() for _ in range(1000))  # more than wait in a socket
     watchdog.end()
-    assert not ended(watchdog)
+    assert is_gone(watchdog)
     assert wire.taken(wire.read, 0.0) == b""
 
 

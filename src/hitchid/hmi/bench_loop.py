@@ -304,6 +304,7 @@ class BenchLoop:
             raise InputError("unattended: expected false; only the virtual bench runs without its operator")
         self._check_sensor(connected.limits)
         self._run = Run(self._root, plan, source, connected.limits, self._displacement, self._disk)
+        self._end_watchdog()  # of a plan that was armed, stopped and reset before the next tick
         if connected.is_watched and self._watch is not None:
             self._watchdog = self._watch(partial(connected.write, CLOSED), source.step_s + self._latest_s)
         self._safety = armed

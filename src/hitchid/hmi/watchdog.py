@@ -8,6 +8,7 @@ import contextlib
 import os
 import signal
 import socket
+import threading
 import time
 import warnings
 from collections.abc import Callable
@@ -69,6 +70,8 @@ class Watchdog:
         except OSError:  # it has ended
             pass
         self._link.close()
+        # The system keeps a process until somebody has waited for it, which this one should not.
+        threading.Thread(target=os.waitpid, args=(self.process, 0), daemon=True).start()
 
 
 def _watch(
