@@ -1,12 +1,14 @@
-"""The operator's page in a real browser: delay of the picture, load, memory, stop, recording; against bars.
+"""The bench loop, and its page in a real browser: ticks, delay of the picture, stop and others against bars.
 
 Run: python -m benchmarks.hmi [--minutes 1]; exit code 1 where a bar is missed.
 """
 
 import argparse
 import csv
+import os
 import sys
 import tempfile
+import threading
 import time
 import urllib.parse
 from pathlib import Path
@@ -19,11 +21,18 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "hmi"))
 
 from operated import Operator, process_time_s, resident_mb, served
 
+import fake_bench
 from browser import chromium
+from hitchid.hmi.bench_loop import BenchLoop
+from hitchid.hmi.safety import State
 
 STOPS = 40  # stops of a running bench, each a click in the page
 WARM_UP_S = 15  # after which buffers have their size
+TICKS = 10_000
 BARS = {
+    "tick, p99.9 / ms": 2.0,
+    "tick with a frozen disk, p99.9 / ms": 2.0,
+    "frozen disk known to zero command / ms": 200.0,
     "start to first picture / s": 4.0,
     "sample to pixel, p95 / ms": 150.0,
     "time between frames, mean / ms": 50.0,  # 20 frames a second
@@ -60,6 +69,44 @@ CLICK_TO_ZERO = """async (name) => {
   await connection.send("reset");
   return frame.wallMs - 10 * (zeros - 1) - clicked;
 }"""
+
+
+def ticks() -> dict[str, float]:
+    """Return how long ticks of a run take that is recorded, and of one whose disk freezes under it.
+
+    The machine is in plain Python: what takes time is the loop itself.
+    """
+    thawed, write = threading.Event(), os.write
+    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        root = Path(folder)
+        (root / "limits.toml").write_text(fake_bench.LIMITS_FILE)
+        (root / "uploads").mkdir()
+        (root / "uploads" / "hold.csv").write_text(LONG_TEST.replace("0.45", "0.351"))  # 0.1 mm/s
+        patch.setattr(fake_bench, "made", fake_bench.Plant, raising=False)
+        loop = BenchLoop(root, limits_file=root / "limits.toml")
+        bench = fake_bench.Bench(loop, None)
+        bench.ask("connect", source="fake_bench:made")
+        bench.ask("record", on=True)
+        bench.run(kind="file", name="hold", file="uploads/hold.csv")
+        usual = [_duration_ms(bench) for _ in range(TICKS)]
+        patch.setattr(os, "write", lambda *given: thawed.wait(60) and write(*given))
+        frozen, begin_s = [], time.monotonic()
+        while bench.state is State.RUNNING and time.monotonic() - begin_s < 10:
+            frozen.append(_duration_ms(bench))
+        thawed.set()
+        is_closed = bench.state is State.STOPPED and not loop.commands.any()
+        loop.close()
+    return {
+        "tick, p99.9 / ms": float(np.percentile(usual, 99.9)),
+        "tick with a frozen disk, p99.9 / ms": float(np.percentile(frozen, 99.9)),
+        "frozen disk known to zero command / ms": frozen[-1] if is_closed else np.inf,
+    }
+
+
+def _duration_ms(bench: fake_bench.Bench) -> float:
+    begin_s = time.perf_counter()
+    bench.tick()
+    return 1e3 * (time.perf_counter() - begin_s)
 
 
 def show(text: str) -> None:
@@ -146,8 +193,9 @@ def main() -> None:
     """Print each figure beside its bar."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=1.0, help="of live signals")
+    minutes = parser.parse_args().minutes
     try:
-        figures = measure(parser.parse_args().minutes)
+        figures = ticks() | measure(minutes)
     except pytest.skip.Exception as reason:  # of what drives the browser
         show(f"the operator's page is not measured: {reason}")
         return

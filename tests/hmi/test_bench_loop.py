@@ -336,6 +336,18 @@ def test_a_frozen_disk_holds_up_no_tick_and_ends_the_run(make_bench, write_test,
         thawed.set()
 
 
+@pytest.mark.parametrize("plan", ["file", "campaign"])
+def test_nothing_moves_where_the_logs_would_land_elsewhere(make_bench, write_test, tmp_path, plan):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "campaigns").symlink_to(tmp_path / "elsewhere")
+    bench = make_bench()
+    bench.run(**(write_test() if plan == "file" else WITHIN))
+    bench.tick(20)
+    assert set(bench.plant.sent) == {CLOSED}
+    assert (bench.state, "is a link" in bench.reason) == (State.STOPPED, True)
+    assert list((tmp_path / "elsewhere").iterdir()) == []
+
+
 @pytest.mark.parametrize("late_s", [0.05, 0.2, 3.0])
 def test_a_tick_that_comes_late_ends_the_run_of_a_machine(make_bench, write_test, late_s):
     bench = make_bench(Machine(), allow_output=True)

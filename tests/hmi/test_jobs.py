@@ -269,3 +269,48 @@ def test_what_has_been_reached_is_a_line_and_tells_of_a_result():
     update = ProgressUpdate("physics model", 0.5, figures={}, message="physics model saved: RMSE 0.3 mm")
     assert job.take_line(json.dumps({"progress": update._asdict()}))
     assert job.describe()["lines"] == ["physics model saved: RMSE 0.3 mm"]
+
+
+def state_after(root, content):
+    """Return the state and the last line of a job once it has ended."""
+
+    async def carried_out():
+        jobs = Jobs(root, lambda _: None, lambda: None)
+        jobs.start(content)
+        await asyncio.wait(jobs._tasks)
+        (job,) = jobs.describe()
+        return job["state"], job["lines"][-1]
+
+    return asyncio.run(carried_out())
+
+
+@pytest.mark.parametrize(
+    ("link", "content", "problem"),
+    [
+        (
+            "reports",
+            {"kind": "validate", "model": "models/a", "logs": "campaigns/a", "name": "r"},
+            "is a link",
+        ),
+        ("controllers", {"kind": "tune", "model": "models/a", "name": "c"}, "is a link"),
+        (
+            "uploads/n.csv",
+            {"kind": "design", "model": "models/a", "direction": "lifting", "name": "n"},
+            "exists",
+        ),
+    ],
+)
+def test_no_job_writes_to_where_a_link_leads(root, link, content, problem):
+    (root / "elsewhere").mkdir()
+    (root / link).parent.mkdir(exist_ok=True)
+    (root / link).symlink_to(root / "elsewhere" / "b" if "/" in link else root / "elsewhere")
+    state, line = state_after(root, {**content, "model": "models/a", "name": "n"})
+    assert state == "failed"
+    assert problem in line
+    assert list((root / "elsewhere").iterdir()) == []
+
+
+def test_the_settings_of_a_brief_identification_are_not_written_through_a_link(root):
+    (root / "brief.toml").symlink_to(root / "elsewhere.toml")
+    Jobs(root, lambda _: None, lambda: None)._prepare("models/b", is_brief=True)
+    assert not (root / "elsewhere.toml").exists()

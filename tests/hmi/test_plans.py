@@ -1,6 +1,7 @@
 """What an operator asks for is understood, or refused with the name of what is wrong."""
 
 import contextlib
+import os
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 
 from hitchid.errors import InputError, SettingsError
 from hitchid.hmi.limits import Limits, read_limits
-from hitchid.hmi.plans import MOST_SAMPLES, read_commands, read_plan
+from hitchid.hmi.plans import MOST_BYTES, MOST_SAMPLES, read_commands, read_plan
 
 CAMPAIGN = {"kind": "campaign", "name": "monday"}
 JSON = st.recursive(
@@ -188,3 +189,11 @@ def test_a_wrong_limits_file_is_refused_with_the_name_of_its_key(tmp_path, chang
 def test_only_what_is_inside_the_travel_and_its_margin_is_not_beyond(displacement):
     limits = Limits((1.0, 1.0), (10.0, 210.0))
     assert limits.is_beyond(displacement) == (not 6.0 <= displacement <= 214.0)
+
+
+def test_a_file_of_commands_that_would_fill_the_memory_is_refused_unread(tmp_path):
+    path = tmp_path / "sparse.csv"
+    path.touch()
+    os.truncate(path, MOST_BYTES + 1)
+    with pytest.raises(InputError, match=r"sparse\.csv: is larger than 50 MB"):
+        read_commands(path, 0.01)

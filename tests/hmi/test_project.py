@@ -1,13 +1,15 @@
 """Names from an operator never leave the project folder, and its content is told as it is."""
 
 import os
+import resource
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hitchid.errors import InputError
-from hitchid.hmi.project import FOLDERS, checked_name, contents, inside
+from hitchid.errors import InputError, OutputError
+from hitchid.hmi import project
+from hitchid.hmi.project import FOLDERS, checked_name, contents, inside, logs, write_new
 
 
 @pytest.fixture
@@ -140,3 +142,30 @@ def test_a_link_to_elsewhere_among_campaigns_does_not_tell_what_is_there(root, t
     (root / "campaigns" / "out").symlink_to(tmp_path)
     (root / "models" / "broken").symlink_to("nowhere")
     assert contents(root)["campaigns"] == contents(root)["models"] == []
+
+
+def test_of_many_files_the_newest_are_told(root, monkeypatch):
+    monkeypatch.setattr(project, "MOST_ENTRIES", 3)
+    for number in range(5):
+        path = root / "recordings" / f"{number}.csv"
+        path.touch()
+        os.utime(path, (1e9 + number, 1e9 + number))
+    told = contents(root)
+    assert [entry["name"] for entry in told["recordings"]] == ["4.csv", "3.csv", "2.csv"]
+    assert told["most"] == 3
+    assert logs(root) == [f"recordings/{number}.csv" for number in (4, 3, 2, 1, 0)]
+
+
+def test_what_is_new_is_whole_or_not_there(root, monkeypatch):
+    write_new(root, "campaigns/monday/campaign.toml", b"a")
+    assert (root / "campaigns" / "monday" / "campaign.toml").read_bytes() == b"a"
+    with pytest.raises(OutputError, match="exists already; choose another name"):
+        write_new(root, "campaigns/monday/campaign.toml", b"b")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))  # a disk that is full
+    try:
+        with pytest.raises(OutputError, match=r"uploads/b\.csv: cannot be written: File too large"):
+            write_new(root, "uploads/b.csv", bytes(2000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not (root / "uploads" / "b.csv").exists()

@@ -430,3 +430,13 @@ def test_a_frame_that_cannot_be_decoded_is_a_missing_value(can_bus):
     values = source.read()[0].values
     assert np.isnan(values[2])
     assert values[0] == pytest.approx(0.5)
+
+
+def test_a_flood_of_datagrams_from_strangers_holds_up_no_tick():
+    class Flood:
+        def recvfrom(self, _):
+            return b"x", ("127.0.0.1", 2)
+
+    transport = UdpTransport(5005)
+    transport._sender, transport._socket = ("127.0.0.1", 1), Flood()
+    assert transport.read() == b""

@@ -6,6 +6,7 @@ import select
 import signal
 import socket
 import time
+from functools import partial
 from multiprocessing.connection import Connection
 
 import pytest
@@ -44,11 +45,24 @@ def wire():
 
 
 def ended(watchdog):
+    """Wait for the end of a watchdog; return whether it ended by itself."""
     return os.waitpid(watchdog.process, 0)[1] == 0
 
 
+def is_gone(watchdog):
+    """Wait until nothing is left of a watchdog that was ended."""
+    end_s = time.monotonic() + LONGEST_S
+    while time.monotonic() < end_s:
+        try:
+            os.kill(watchdog.process, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.001)
+    return False
+
+
 def test_a_killed_loop_leaves_closed_valves_and_the_server_is_told(wire):
-    watchdog = Watchdog(wire.zero, wire.say, NEVER_S)
+    watchdog = Watchdog(wire.zero, NEVER_S, wire.say)
     watchdog._link.close()  # what the system does for a process that is killed
     assert wire.taken(wire.read)[:1] == b"0"
     assert wire.taken(wire.told) == b"yes"
@@ -59,46 +73,46 @@ def test_a_source_that_takes_no_zero_is_told_as_well(wire):
     def fail():
         raise OSError("the plug was pulled")
 
-    watchdog = Watchdog(fail, wire.say, NEVER_S)
+    watchdog = Watchdog(fail, NEVER_S, wire.say)
     watchdog._link.close()
     assert wire.taken(wire.told) == b"no"
     assert ended(watchdog)
 
 
 def test_a_source_that_does_not_return_ends_the_watchdog(wire):
-    watchdog = Watchdog(lambda: time.sleep(NEVER_S), wire.say, NEVER_S)
+    watchdog = Watchdog(lambda: time.sleep(NEVER_S), NEVER_S, wire.say)
     watchdog._link.close()
     assert not ended(watchdog)
 
 
 def test_a_silent_loop_is_sent_zero_for_and_told_when_it_goes_on(wire):
-    watchdog = Watchdog(wire.zero, wire.say, 0.02)
+    watchdog = Watchdog(wire.zero, 0.02, wire.say)
     assert wire.taken(wire.read)[:1] == b"0"  # this process stands still meanwhile, as one that is frozen
     while watchdog.alive():  # until its word has arrived
         assert wire.taken(wire.read)
     watchdog.end()
-    assert ended(watchdog)
+    assert is_gone(watchdog)
 
 
 def test_a_loop_that_lives_and_ends_in_order_is_left_alone(wire):
-    watchdog = Watchdog(wire.zero, wire.say, NEVER_S)
+    watchdog = Watchdog(wire.zero, NEVER_S, wire.say)
     assert all(watchdog.alive() for _ in range(100))
     watchdog.end()
-    assert ended(watchdog)
+    assert is_gone(watchdog)
     assert wire.taken(wire.read, 0.0) == wire.taken(wire.told, 0.0) == b""
 
 
 def test_a_watchdog_that_was_frozen_does_not_act_once_nothing_can_move(wire):
-    watchdog = Watchdog(wire.zero, wire.say, NEVER_S)
+    watchdog = Watchdog(wire.zero, NEVER_S, wire.say)
     os.kill(watchdog.process, signal.SIGSTOP)
     assert all(watchdog.alive() for _ in range(1000))  # more than wait in a socket
     watchdog.end()
-    assert not ended(watchdog)
+    assert is_gone(watchdog)
     assert wire.taken(wire.read, 0.0) == b""
 
 
 def test_a_watchdog_that_was_killed_is_noticed():
-    watchdog = Watchdog(lambda: None, lambda _: None, NEVER_S)
+    watchdog = Watchdog(lambda: None, NEVER_S, lambda _: None)
     os.kill(watchdog.process, signal.SIGKILL)
     assert not ended(watchdog)
     assert not watchdog.alive()
@@ -117,7 +131,8 @@ class Watched(Machine):
 
 
 def test_a_run_is_over_once_the_watchdog_had_to_act(make_bench, write_test, wire):
-    bench = make_bench(Watched(wire), allow_output=True)
+    watch = partial(Watchdog, tell=wire.say)
+    bench = make_bench(Watched(wire), allow_output=True, watch=watch)
     bench.run(**write_test(lifting=0.36, duration_s=600.0))
     bench.tick(5)
     while not wire.taken(wire.read).endswith(b"0"):  # silent: the zero comes from the other process
@@ -125,6 +140,7 @@ def test_a_run_is_over_once_the_watchdog_had_to_act(make_bench, write_test, wire
     end_s = time.monotonic() + LONGEST_S
     while bench.state is State.RUNNING and time.monotonic() < end_s:  # its word may come a moment later
         bench.tick()
+        wire.taken(wire.read, 0.0)
     assert "its watchdog has sent zero" in bench.reason
     assert bench.plant.sent[-1] == (0.0, 0.0)
     bench.tick(20)

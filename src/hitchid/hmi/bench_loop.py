@@ -42,8 +42,8 @@ class BenchLoop:
         limits_file: limits of a real machine.
         longest_silence_s: without a sign of life while armed or running, s.
         disk: that takes what is written.
-        tell: called by the watchdog, in its process, when this one has ended while something could move, with
-            whether zero was sent.
+        watch: makes the watchdog of a source that is armed, from what sends zero and the longest silence, s;
+            none without it.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class BenchLoop:
         limits_file: Path | None = None,
         longest_silence_s: float = LONGEST_SILENCE_S,
         disk: Disk | None = None,
-        tell: Callable[[bool], None] = lambda _: None,
+        watch: Callable[[Callable[[], None], float], Watchdog] | None = None,
     ) -> None:
         self._root, self._allow_output, self._limits_file = root, allow_output, limits_file
         self._longest_silence_s = longest_silence_s
@@ -62,7 +62,7 @@ class BenchLoop:
         self._connected: ConnectedSource | None = None
         self._run: Run | None = None
         self._ended_runs: list[Run] = []
-        self._ticked_s, self._tell = -np.inf, tell
+        self._ticked_s, self._watch = -np.inf, watch
         self._watchdog: Watchdog | None = None
         self._recorder: Recorder | None = None
         self._displacement, self._time_s, self._silent_s, self._measured_s = np.nan, 0.0, 0.0, 0.0
@@ -156,15 +156,16 @@ class BenchLoop:
         }
 
     def _check_lateness(self, now_s: float) -> None:
-        """Stop a run whose tick is late, such as after the process was stopped for a while and goes on.
-
-        A virtual bench stands still between two ticks, so that only what would be silence of a server counts.
-        """
+        """Stop a run whose tick is late, such as after the process was stopped for a while and goes on."""
         late_s, self._ticked_s = now_s - self._ticked_s - self.tick_s, now_s
-        if self.state is State.RUNNING and self._connected is not None:
-            virtual = self._connected.source.virtual
-            if late_s > (self._longest_silence_s if virtual else LATEST_S):
-                self.stop(f"the bench loop was late by {late_s:.2g} s")
+        if self.state is State.RUNNING and late_s > self._latest_s:
+            self.stop(f"the bench loop was late by {late_s:.2g} s")
+
+    @property
+    def _latest_s(self) -> float:
+        """How late a tick may be, s; a virtual source stands still meanwhile, and so holds no old command."""
+        is_virtual = self._connected is not None and self._connected.source.virtual
+        return self._longest_silence_s if is_virtual else LATEST_S
 
     def _check_disk(self) -> None:
         """Stop, and end the recording, where a log is not written."""
@@ -303,9 +304,9 @@ class BenchLoop:
             raise InputError("unattended: expected false; only the virtual bench runs without its operator")
         self._check_sensor(connected.limits)
         self._run = Run(self._root, plan, source, connected.limits, self._displacement, self._disk)
-        if connected.is_watched:
-            longest_s = source.step_s + LATEST_S
-            self._watchdog = Watchdog(partial(connected.write, CLOSED), self._tell, longest_s)
+        self._end_watchdog()  # of a plan that was armed, stopped and reset before the next tick
+        if connected.is_watched and self._watch is not None:
+            self._watchdog = self._watch(partial(connected.write, CLOSED), source.step_s + self._latest_s)
         self._safety = armed
 
     def _check_sensor(self, limits: Limits) -> None:

@@ -6,12 +6,14 @@ It never waits for the server. A server that is gone closes the valves, the log 
 import contextlib
 import gc
 import json
+import os
 import queue
 import signal
 import sys
 import threading
 import time
 from collections.abc import Sequence
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -21,6 +23,7 @@ from hitchid._support.outbox import Outbox
 from hitchid.errors import HitchError, InputError
 from hitchid.hmi.bench_loop import BenchLoop
 from hitchid.hmi.source import Reading
+from hitchid.hmi.watchdog import Watchdog
 
 BLOCK_S = 0.04  # s between blocks of samples to the server: 25 a second
 STATUS_S = 0.5  # s between states to the server where nothing changes
@@ -30,6 +33,8 @@ MOST_REQUESTS = 50  # that are carried out in one tick: pages that send more wai
 MOST_WAITING = 1000  # requests that wait, before the server has to; chosen
 # s that a thread may keep the interpreter to itself while the tick is due; by default it would be 5 ms.
 SWITCH_S = 0.0005
+# Where the user may: the loop goes before other programs, and is ended last where memory runs out; chosen.
+PRIORITY, OOM_SCORE = -10, "-500"
 JSON_MARK, BLOCK_MARK = b"j", b"b"
 
 
@@ -158,8 +163,10 @@ def main(arguments: Sequence[str]) -> None:
     for number in (signal.SIGINT, signal.SIGHUP):  # they end the server, which ends this process
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # by way of the end below, which closes the valves
-    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for a watchdog that has ended
     sys.setswitchinterval(SWITCH_S)
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, PRIORITY)
+        Path("/proc/self/oom_score_adj").write_text(OOM_SCORE)
     limits, connection = settings["limits_file"], Connection(descriptor)
 
     def tell(is_zero_sent: bool) -> None:
@@ -171,7 +178,7 @@ def main(arguments: Sequence[str]) -> None:
         allow_output=settings["allow_output"],
         limits_file=Path(limits) if limits else None,
         longest_silence_s=settings["longest_silence_s"],
-        tell=tell,
+        watch=partial(Watchdog, tell=tell),
     )
     link = Link(connection)
     gc.freeze()

@@ -57,7 +57,8 @@ class Child:
             self.process.wait(longest_s)
         except subprocess.TimeoutExpired:
             self.process.kill()
-            self.process.wait()
+            with contextlib.suppress(subprocess.TimeoutExpired):  # it hangs in a driver, or on a frozen disk
+                self.process.wait(longest_s)
 
     def _receive(
         self, loop: asyncio.AbstractEventLoop, on_message: Callable[[bytes], None], on_end: Callable[[], None]

@@ -14,6 +14,7 @@ from hitchid.hmi.project import NAME_PATTERN
 
 POSITIONING_S = 12.0  # s, of a move between two tests, for the estimate of the time left; chosen
 MOST_SAMPLES = 1_000_000  # of a file of commands, to bound its memory; chosen
+MOST_BYTES = 50_000_000  # of a file of commands: a million lines of 50 characters
 Name = Annotated[str, Field(pattern=f"^{NAME_PATTERN}$")]
 
 
@@ -128,6 +129,8 @@ def read_commands(path: Path, step_s: float) -> np.ndarray:
             time.
     """
     try:
+        if path.stat().st_size > MOST_BYTES:
+            raise InputError(f"{path.name}: is larger than {MOST_BYTES / 1e6:g} MB; shorten it")
         with path.open(encoding="utf-8") as file:
             names = [name.strip() for name in file.readline().split(",")]
             rows = np.loadtxt(file, delimiter=",", ndmin=2)

@@ -149,6 +149,7 @@ def contents(project: Path) -> dict[str, object]:
     controllers = [entry for entry in _entries(project, CONTROLLERS) if entry["name"].endswith(".toml")]
     return {
         "folder": project.resolve().name,
+        "most": MOST_ENTRIES,
         CAMPAIGNS: campaigns,
         MODELS: models,
         REPORTS: reports,

@@ -110,7 +110,8 @@ class Server:
             server_header=False,
         )
         _, most_files = resource.getrlimit(resource.RLIMIT_NOFILE)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (most_files, most_files))
+        with contextlib.suppress(ValueError):  # of a system that has no number for it
+            resource.setrlimit(resource.RLIMIT_NOFILE, (most_files, most_files))
         self._uvicorn = uvicorn.Server(config)
         self._uvicorn.run(sockets=[self._socket])
 

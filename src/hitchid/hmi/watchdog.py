@@ -8,6 +8,7 @@ import contextlib
 import os
 import signal
 import socket
+import threading
 import time
 import warnings
 from collections.abc import Callable
@@ -30,7 +31,7 @@ class Watchdog:
         longest_s: without a sign of life, after which zero is sent, s.
     """
 
-    def __init__(self, send_zero: Callable[[], None], tell: Callable[[bool], None], longest_s: float) -> None:
+    def __init__(self, send_zero: Callable[[], None], longest_s: float, tell: Callable[[bool], None]) -> None:
         self._link, other = socket.socketpair()
         with warnings.catch_warnings():
             # Python and JAX warn that a lock may be held by a thread that the new process lacks. It calls
@@ -40,7 +41,7 @@ class Watchdog:
         if self.process == 0:
             try:
                 self._link.close()
-                _watch(other, send_zero, tell, longest_s)
+                _watch(other, send_zero, longest_s, tell)
             finally:
                 os._exit(0)
         other.close()
@@ -69,10 +70,12 @@ class Watchdog:
         except OSError:  # it has ended
             pass
         self._link.close()
+        # The system keeps a process until somebody has waited for it, which this one should not.
+        threading.Thread(target=os.waitpid, args=(self.process, 0), daemon=True).start()
 
 
 def _watch(
-    link: socket.socket, send_zero: Callable[[], None], tell: Callable[[bool], None], longest_s: float
+    link: socket.socket, send_zero: Callable[[], None], longest_s: float, tell: Callable[[bool], None]
 ) -> None:
     os.setsid()  # what ends the group of the bench loop should not end its watchdog
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):

@@ -10,7 +10,7 @@ import { readFrame } from "./frames.js";
 const HEARTBEAT_MS = 150; // the bench stops when it hears nothing for 500 ms
 const FIRST_WAIT_MS = 250;
 const LONGEST_WAIT_MS = 4000;
-const LOST = "The connection to hitchid is lost. The bench stops by itself within half a second when it was armed or running. Connecting again …";
+const LOST = "The connection to hitchid is lost: what the machine does is not known here. The bench loop stops by itself when it hears nothing of this page. Connecting again …";
 const SILENT = "hitchid does not answer. Check that the command hitchid hmi is still running. Connecting again …";
 const BACK = "The connection to hitchid was lost and is back. Nothing was armed or started again by itself.";
 const OFFLINE = "Not sent: there is no connection to hitchid. Use the machine's own emergency stop if it moves.";

@@ -74,11 +74,11 @@ const LISTS = [
 /** @param {any} content */
 function listAll(content) {
   const shown = byId("lists").querySelector("#project-report") ?? element("div", { id: "project-report", class: "stack" });
-  byId("lists").replaceChildren(shown, element("div", { class: "card lists" }, ...LISTS.map(({ key, title, folder }) => list(title, folder, content[key] ?? [], shown))));
+  byId("lists").replaceChildren(shown, element("div", { class: "card lists" }, ...LISTS.map(({ key, title, folder }) => list(title, folder, content[key] ?? [], content.most, shown))));
 }
 
-/** @param {string} title @param {string} folder @param {any[]} items @param {HTMLElement} place of a report */
-function list(title, folder, items, place) {
+/** @param {string} title @param {string} folder @param {any[]} items @param {number} most that the server tells @param {HTMLElement} place of a report */
+function list(title, folder, items, most, place) {
   const rows = items.map((item) => element("tr", {},
     element("th", { scope: "row" }, item.name),
     element("td", {}, item.logs == null ? "" : `${item.logs} logs`),
@@ -89,5 +89,6 @@ function list(title, folder, items, place) {
     } }, "Report") : "")));
   const body = rows.length ? element("table", { class: "items" }, element("caption", { class: "unseen" }, title), element("tbody", {}, ...rows))
     : element("p", { class: "note" }, "none yet");
-  return element("section", {}, element("h3", {}, title, " ", element("code", {}, folder)), body);
+  const note = items.length < most ? [] : [element("p", { class: "note" }, `The newest ${most}; the folder has more.`)];
+  return element("section", {}, element("h3", {}, title, " ", element("code", {}, folder)), body, ...note);
 }

@@ -20,6 +20,7 @@ from hitchid.hmi.source import DISPLACEMENT, LIFTING_COMMAND, LOWERING_COMMAND, 
 
 LOOPBACK = "127.0.0.1"
 MOST_BYTES = 65536  # read at once, and of an unfinished line; chosen
+MOST_DATAGRAMS = 1000  # taken in one tick, so that a flood, of strangers too, cannot hold up the loop; chosen
 MOST_LINES_WAITING = 3  # commands that may wait in a serial port: 30 ms of them; chosen
 CAN_BE_BUSY = (BlockingIOError, InterruptedError)
 
@@ -68,7 +69,8 @@ class FileTransport:
             self._file = os.dup(sys.stdin.fileno())
         else:
             try:
-                self._file = os.open(self._path, os.O_RDWR | os.O_NOCTTY)
+                # Not blocking: a port whose other end is switched off would be waited for.
+                self._file = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
             except OSError as error:
                 raise InputError(
                     f"{self._path}: cannot be opened: {error.strerror}; expected a device"
@@ -139,7 +141,9 @@ class UdpTransport:
         """Return the datagrams that have arrived, each ended by a line feed."""
         lines = b""
         with contextlib.suppress(*CAN_BE_BUSY):
-            while len(lines) < MOST_BYTES:
+            for _ in range(MOST_DATAGRAMS):
+                if len(lines) >= MOST_BYTES:
+                    break
                 data, sender = self._socket.recvfrom(MOST_BYTES)
                 self._sender = self._sender or sender
                 lines += data + b"\n" if sender == self._sender else b""
