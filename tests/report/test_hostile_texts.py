@@ -12,8 +12,12 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+import fleet_rows
 from hitchid._support.data_table import DataTable
 from hitchid._support.inert import printable
+from hitchid.fleet import compare_fleet
+from hitchid.model import LoadScatter
+from hitchid.model.load_scatter import LoadOfTest
 from hitchid.plots import canvas
 from hitchid.plots.style import styled
 from hitchid.report.document import (
@@ -28,7 +32,9 @@ from hitchid.report.document import (
     Table,
     Text,
 )
+from hitchid.report.figures import fleet, trust
 from hitchid.report.renderers import render
+from hitchid.report.svg import svg
 from hitchid.validation import Check, Predictions
 from hostile import HTML, MATHEMATICS, STRINGS, TERMINAL, UNICODE, acts
 
@@ -174,3 +180,16 @@ def test_a_workbook_has_texts_and_no_formulas(documents):
 def test_a_pdf_is_set_with_them(documents):
     pytest.importorskip("typst")
     assert render(documents[0], "pdf").startswith(b"%PDF")
+
+
+def test_names_of_tests_and_machines_are_no_mathematics():
+    loads = tuple(LoadOfTest(name[:40], 0.01, (0.0, 0.02)) for name in (*MATHEMATICS, *UNICODE[:12]))
+    faults = {MATHEMATICS.index("$\\frac$"): {"gain_factor": 0.8}}
+    machines = fleet_rows.fleet(len(MATHEMATICS), faults=faults, name=MATHEMATICS.__getitem__)
+    for drawn in (
+        trust.loads(LoadScatter(0.03, (0.01, 0.05), 0.1, loads)),
+        fleet.verdicts(compare_fleet(machines)),
+    ):
+        root = ElementTree.fromstring(svg(drawn))  # noqa: S314 - our own
+        shown = {"".join(element.itertext()) for element in root.iter("{http://www.w3.org/2000/svg}text")}
+        assert "$\\frac$" in shown
