@@ -8,11 +8,13 @@ import json
 import re
 from collections.abc import Iterable, Mapping
 from html import escape
+from unicodedata import category
 from xml.etree import ElementTree
 
-# Unprintable to Python but harmless and needed: line breaks, spaces that do not break, joiners of letters in
-# Persian and Indic scripts.
-_HARMLESS = "\n\t\u00a0\u2009\u200c\u200d\u202f"
+# Controls, marks of direction and invisible ones, halves of surrogate pairs, separators of lines and of
+# paragraphs.
+_ACTING = ("Cc", "Cf", "Cs", "Zl", "Zp")
+_HARMLESS = "\n\t\u200c\u200d"  # the last two join letters, in Persian and Indic scripts
 _SUSPECT = re.compile(r"[^\n\t -~]")
 _SYMBOLS = str.maketrans(
     {"°": "deg", "µ": "u", "μ": "u", "Ω": "Ohm", "²": "^2", "³": "^3", "·": ".", "*": "."}
@@ -36,10 +38,11 @@ def printable(text: str) -> str:
 
 
 def _shown(match: re.Match) -> str:
-    character = match[0]
-    if character.isprintable() or character in _HARMLESS:
+    character, code = match[0], ord(match[0])
+    is_none = code & 0xFFFE == 0xFFFE or 0xFDD0 <= code <= 0xFDEF  # Unicode will never assign these
+    if character in _HARMLESS or not (is_none or category(character) in _ACTING):
         return character
-    return f"\\u{ord(character):04x}" if character < "\U00010000" else f"\\U{ord(character):08x}"
+    return f"\\u{code:04x}" if code <= 0xFFFF else f"\\U{code:08x}"
 
 
 def printable_texts(content: object) -> object:

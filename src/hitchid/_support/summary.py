@@ -71,7 +71,7 @@ def screen(lines: Sequence[str], last: Sequence[str] = ()) -> str:
     room = MAX_LINES - len(last)
     if len(lines) > room:
         lines = [*lines[: room - 1], f"{GAP}… {len(lines) - room + 1} more lines"]
-    return printable("\n".join(_cut(line) for line in [*lines, *last]))
+    return "\n".join(_cut(printable(line)) for line in [*lines, *last])
 
 
 def _cut(line: str) -> str:
