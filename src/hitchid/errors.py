@@ -11,9 +11,14 @@ HitchError                  the root: catch this one to catch them all
 
 from functools import partial
 
+from hitchid._support.inert import printable
+
 
 class HitchError(Exception):
-    """The root of everything this package raises on purpose."""
+    """The root of everything this package raises on purpose; its message is printable, whatever it names."""
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
 
 
 class InputError(HitchError):

@@ -142,13 +142,6 @@ def test_one_with_covariates_is_refused(tmp_path) -> None:
         to_c(replace(model, channels={"lifting": channel}), tmp_path / "out")
 
 
-@pytest.mark.long
-def test_text_in_comments_is_harmless(compiler, tmp_path) -> None:
-    units = {"displacement": "mm */ int x; /*", "lifting_command": "°C µ \\"}
-    model = replace(handmade.hitch(modes=("lifting",)), units=units)
-    assert to_c(model, tmp_path / "out").parity is not None
-
-
 def test_parameters_change_the_code_as_they_change_the_model(compiler, tmp_path) -> None:
     model = handmade.hitch("integrator-first-order", filtered=True)
     constants = constants_of(model)

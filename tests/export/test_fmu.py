@@ -2,11 +2,14 @@
 
 import ctypes
 import hashlib
+import math
 import os
 import shutil
+import struct
 import sys
 import threading
 import zipfile
+import zlib
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -18,6 +21,7 @@ from hitchid.export import fmu, to_fmu
 
 fmpy = pytest.importorskip("fmpy")
 from fmpy.build import build_platform_binary  # noqa: E402
+from fmpy.fmi1 import FMICallException  # noqa: E402
 from fmpy.fmi2 import FMU2Slave  # noqa: E402
 from fmpy.fmi3 import FMU3Slave  # noqa: E402
 from fmpy.validation import validate_fmu  # noqa: E402
@@ -229,6 +233,51 @@ def test_a_state_goes_back_and_into_bytes(units, tmp_path, version: str) -> None
         (other.freeFMUstate if is_2 else other.freeFMUState)(again)
     instance.freeInstance()
     other.freeInstance()
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_time_that_is_never_reached_is_refused(units, tmp_path, version: str) -> None:
+    instance, references = slave(units[version], version, tmp_path)
+    for time_s in (math.inf, -math.inf, math.nan, 1e300):
+        begin = instance.setupExperiment if version == "fmi2" else instance.enterInitializationMode
+        with pytest.raises(FMICallException):
+            begin(startTime=time_s)
+    start(instance, version, references)
+    get, _ = numbers(instance, version)
+    for size_s in (math.inf, -math.inf, math.nan, 1e300, -1.0, 2e7 * STEP_S):
+        with pytest.raises(FMICallException):
+            instance.doStep(0.0, size_s)
+    instance.doStep(0.0, STEP_S)
+    assert math.isfinite(get([references["displacement"]])[0])
+    instance.freeInstance()
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_state_that_was_never_saved_is_refused(units, tmp_path, version: str) -> None:
+    instance, references = slave(units[version], version, tmp_path)
+    start(instance, version, references)
+    is_2 = version == "fmi2"
+    state = instance.getFMUstate() if is_2 else instance.getFMUState()
+    saved = bytes(instance.serializeFMUstate(state) if is_2 else instance.serializeFMUState(state))
+    last = max(
+        references.values()
+    )  # after it: four of the next sample, samples, start time, last time, phase
+    never = (math.nan, math.inf, -math.inf, 1e300, -1e300)
+    for number, values in (
+        *((references[name], never) for name in ("mode", "flags", "measurement_valid")),
+        (last + 2, never),
+        (last + 5, (math.nan, -1.0, -1e300)),
+        (last + 6, never),
+        (last + 7, never),
+        (last + 8, (*never, 4.0)),
+    ):
+        for value in values:
+            at = 16 + 8 * number
+            changed = saved[:at] + struct.pack("<d", value) + saved[at + 8 : -4]
+            changed += struct.pack("<I", zlib.adler32(changed))
+            with pytest.raises(FMICallException):
+                (instance.deSerializeFMUstate if is_2 else instance.deserializeFMUState)(changed)
+    instance.freeInstance()
 
 
 @pytest.mark.parametrize("version", VERSIONS)

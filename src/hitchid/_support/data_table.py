@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hitchid._support.dataframes import dataframe
+from hitchid._support.inert import spreadsheet_text
 from hitchid._support.summary import shortened
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ class DataTable:
         """Return the table as CSV in UTF-8: numbers as read back exactly, empty cells for no value."""
         stream = StringIO(newline="")
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(self.columns)
+        writer.writerow(map(spreadsheet_text, self.columns))
         writer.writerows([_text(cell) for cell in row] for row in self.rows)
         return stream.getvalue().encode("utf-8", errors="replace")
 
@@ -96,4 +97,4 @@ def _text(cell: Cell) -> str:
         return ""
     if isinstance(cell, bool):
         return "true" if cell else "false"
-    return repr(float(cell)) if isinstance(cell, float) else str(cell)
+    return repr(float(cell)) if isinstance(cell, float) else spreadsheet_text(str(cell))

@@ -11,16 +11,17 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from html import escape
 from math import isfinite, log
 
-from rich.console import Console, Group
+from rich.console import Group
 from rich.live import Live
 from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 from rich.text import Text
 
 from hitchid._support import checks
+from hitchid._support.console import PlainConsole, line
+from hitchid._support.inert import html_text
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent
 
 FORMAT_VARIABLE = "HITCHID_PROGRESS"
@@ -68,15 +69,20 @@ def progress(*, quiet: bool = False) -> Iterator[ProgressCallback]:
 
 @contextmanager
 def _terminal_bar() -> Iterator[ProgressCallback]:
-    bar = Bar(BarColumn(24), TaskProgressColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
+    bar = Bar(
+        BarColumn(24),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.description}", markup=False),
+    )
     task = bar.add_task("", total=1.0)
     curves = Curves()
-    console = Console(stderr=True)
+    console = PlainConsole(stderr=True)
     with Live(Group(bar, curves), console=console, transient=True, refresh_per_second=8):
 
         def show(step: ProgressUpdate) -> None:
             if step.message:
-                console.print(step.message, markup=False, highlight=False)
+                console.print(step.message)
             curves.update(step)
             bar.update(task, description=curves.stages, completed=step.fraction)
 
@@ -98,8 +104,8 @@ class _NotebookBar:
         if now_s - self._printed_s < SHORTEST_S and not step.message and step.fraction < 1:
             return
         self._printed_s = now_s
-        self._messages += f"<br>{escape(step.message)}" if step.message else ""
-        bar = f'<progress max="1" value="{step.fraction:.3f}"></progress> {escape(step.stage)}'
+        self._messages += f"<br>{html_text(step.message)}" if step.message else ""
+        bar = f'<progress max="1" value="{step.fraction:.3f}"></progress> {html_text(step.stage)}'
         self._handle.update(self._html(bar + self._messages))
 
 
@@ -180,10 +186,10 @@ class _Lines:
     def report(self, step: ProgressUpdate) -> None:
         last = self._last.get(step.task)
         if step.message:
-            sys.stderr.write(f"{step.message}\n")
+            sys.stderr.write(line(step.message))
         elif last is None or step.stage != last.stage:
             self.end(*filter(None, [step.task]))
-            sys.stderr.write(f"{step.fraction:4.0%}  {step.stage}{self._time_left(step.fraction)}\n")
+            sys.stderr.write(line(f"{step.fraction:4.0%}  {step.stage}{self._time_left(step.fraction)}"))
         sys.stderr.flush()
         self._last[step.task] = step
 
@@ -200,5 +206,5 @@ class _Lines:
             if last is not None and last.figures:
                 figures_text = ", ".join(f"{name} {value:.4g}" for name, value in last.figures.items())
                 stage = f"{task}, " if task else ""
-                sys.stderr.write(f"      {stage}{last.iteration}: {figures_text}\n")
+                sys.stderr.write(line(f"      {stage}{last.iteration}: {figures_text}"))
                 sys.stderr.flush()

@@ -1,9 +1,10 @@
 """A small picture of curves as one SVG element, in the colour of the text around it."""
 
 from collections.abc import Sequence
-from html import escape
 
 import numpy as np
+
+from hitchid._support.inert import html_text
 
 WIDTH, HEIGHT, MARGIN = 220, 48, 2  # pixels; chosen
 COLUMNS = 55  # of the picture, one for four pixels: each shows the least and the largest sample in it
@@ -27,7 +28,7 @@ def sparkline(curves: Sequence[np.ndarray], label: str, scales: Sequence[np.ndar
 
 def _picture(lines: str, label: str) -> str:
     return (
-        f'<svg role="img" aria-label="{escape(label)}" width="{WIDTH}" height="{HEIGHT}" '
+        f'<svg role="img" aria-label="{html_text(label)}" width="{WIDTH}" height="{HEIGHT}" '
         f'viewBox="0 0 {WIDTH} {HEIGHT}" fill="none" stroke="currentColor">{lines}</svg>'
     )
 

@@ -4,7 +4,8 @@ import abc
 import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from html import escape
+
+from hitchid._support.inert import html_text, printable
 
 MAX_LINES, MAX_WIDTH = 25, 110  # lines and characters of a screen; chosen
 NOTE_LINES, NAME_WIDTH = 3, 24  # lines of a note; characters of a name among others; chosen
@@ -42,9 +43,9 @@ class Summary:
             _html_row("td", row, f"<td>{picture}</td>" if self.pictures else "")
             for row, picture in zip(self.rows, pictures, strict=True)
         )
-        notes = "".join(f"<div>{escape(note)}</div>" for note in self.notes)
+        notes = "".join(f"<div>{html_text(note)}</div>" for note in self.notes)
         return (
-            f"<div><strong>{escape(self.title)}</strong>"
+            f"<div><strong>{html_text(self.title)}</strong>"
             f"<table><thead>{head}</thead><tbody>{rows}</tbody></table>{notes}</div>"
         )
 
@@ -70,7 +71,7 @@ def screen(lines: Sequence[str], last: Sequence[str] = ()) -> str:
     room = MAX_LINES - len(last)
     if len(lines) > room:
         lines = [*lines[: room - 1], f"{GAP}… {len(lines) - room + 1} more lines"]
-    return "\n".join(_cut(line) for line in [*lines, *last])
+    return "\n".join(_cut(printable(line)) for line in [*lines, *last])
 
 
 def _cut(line: str) -> str:
@@ -79,7 +80,7 @@ def _cut(line: str) -> str:
 
 def shortened(text: str, width: int = MAX_WIDTH) -> str:
     """Return a text on one line, cut with an ellipsis where it is longer than `width` characters."""
-    line = " ".join(text.split())
+    line = " ".join(printable(text).split())
     return line if len(line) <= width else f"{line[: width - 1]}…"
 
 
@@ -118,4 +119,4 @@ def wrapped(start: str, text: str) -> list[str]:
 
 def _html_row(tag: str, cells: Iterable[str], end: str = "") -> str:
     style = ' style="text-align: left"'
-    return "<tr>" + "".join(f"<{tag}{style}>{escape(cell)}</{tag}>" for cell in cells) + end + "</tr>"
+    return "<tr>" + "".join(f"<{tag}{style}>{html_text(cell)}</{tag}>" for cell in cells) + end + "</tr>"

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 import hitchid
+from hitchid._support.inert import printable
 from hitchid.errors import HitchError, InputError
 
 app = typer.Typer(
@@ -52,7 +53,7 @@ def main() -> None:
         sys.exit(1)
     except OSError as error:
         what = error.filename or "standard output: cannot be written"
-        sys.stderr.write(f"hitchid: {what}: {error.strerror or error}\n")
+        sys.stderr.write(printable(f"hitchid: {what}: {error.strerror or error}\n"))
         sys.exit(1)
 
 

@@ -8,9 +8,9 @@ from textwrap import fill
 from typing import TYPE_CHECKING
 
 from rich import box
-from rich.console import Console
 from rich.table import Table as RichTable
 
+from hitchid._support.console import PlainConsole, line
 from hitchid._support.progress_display import progress as progress
 from hitchid.data.record import COMMAND
 from hitchid.data.segmentation import LABELS
@@ -321,7 +321,7 @@ def show_acceptance(acceptance: "Acceptance", *, quiet: bool = False) -> None:
 
     for check in acceptance.checks:
         if not (quiet and check.passed):
-            sys.stdout.write(f"{check_line(check)}\n")
+            sys.stdout.write(line(check_line(check)))
 
 
 def _table(*header: str, kind: box.Box = box.HEAVY_HEAD) -> RichTable:
@@ -331,25 +331,25 @@ def _table(*header: str, kind: box.Box = box.HEAVY_HEAD) -> RichTable:
     return table
 
 
-def _console() -> Console:
-    return Console(width=None if sys.stdout.isatty() else 120, markup=False, highlight=False)
+def _console() -> PlainConsole:
+    return PlainConsole(width=None if sys.stdout.isatty() else 120)
 
 
-def _narrow_console() -> Console:
-    return Console(width=COLUMNS, markup=False, highlight=False)
+def _narrow_console() -> PlainConsole:
+    return PlainConsole(width=COLUMNS)
 
 
 def _print_wrapped(text: str, indent: int = 0) -> None:
     """Print a sentence on lines of 80 columns at most, all but the first indented."""
-    sys.stdout.write(fill(text, COLUMNS, subsequent_indent=" " * indent, break_on_hyphens=False) + "\n")
+    sys.stdout.write(line(fill(text, COLUMNS, subsequent_indent=" " * indent, break_on_hyphens=False)))
 
 
 def write_result(out: Path, sentence: str) -> None:
     """Write what a command wrote to a file or folder, to stderr."""
-    sys.stderr.write(f"{out}: {sentence}\n")
+    sys.stderr.write(line(f"{out}: {sentence}"))
 
 
 def write_messages(kind: str, sentences: Iterable[object]) -> None:
     """Write sentences to stderr, each with its kind as prefix."""
     for sentence in sentences:
-        sys.stderr.write(f"{kind}: {sentence}\n")
+        sys.stderr.write(line(f"{kind}: {sentence}"))

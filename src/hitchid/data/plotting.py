@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
+from hitchid._support.inert import printable
 from hitchid.data.record import COMMAND, CYCLE, DIRECTIONS, Record
 from hitchid.data.segmentation import LABELS, Segment, segments
 from hitchid.errors import InputError
@@ -26,7 +27,7 @@ def plot_record(record: Record, axes: Axes | Sequence[Axes] | np.ndarray | None)
         displacement_axes, command_axes = drawn
         draw_record(displacement_axes, command_axes, record)
         if axes is None:
-            drawn[0].set_title(printable(record.name), loc="left", parse_math=False)
+            drawn[0].set_title(record.name, loc="left")
     return drawn
 
 
@@ -73,7 +74,7 @@ def plot_campaign(
             remark = " (held out)" if record.name in held_out else ""
             if number == len(shown) < len(records):
                 remark += f" + {len(records) - number} more tests"
-            each.set_title(_title(record.name, remark), loc="left", parse_math=False)
+            each.set_title(_title(printable(record.name), remark), loc="left", parse_math=False)
         if axes is None:
             _tidy_grid(drawn, len(shown), columns)
     return drawn[: len(shown)]
@@ -97,12 +98,7 @@ def _title(name: str, remark: str) -> str:
     """Return a name, shortened where there is no room for it, and a remark."""
     room = MAX_TITLE - len(remark)
     short = name if len(name) <= room else f"{name[: room - 1]}…"
-    return f"{printable(short)}{remark}"
-
-
-def printable(name: str) -> str:
-    """Return the name of a file without characters that no font has."""
-    return name.encode(errors="replace").decode()
+    return f"{short}{remark}"
 
 
 def _spans(record: Record, found: Sequence[Segment]) -> list[tuple[str, float, float]]:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from hitchid._support.inert import comment, html_text
 from hitchid._support.versions import installed_versions
 from hitchid.data.record import COMMAND
 from hitchid.export.constants import ChannelConstants, ModelConstants
@@ -115,10 +116,11 @@ def c_templates(model: ModelConstants, name: str, precision: Precision) -> CTemp
         name: prefix of all names, a C identifier.
         precision: `mixed`: physics in double, networks in single precision; or all in one.
     """
+    loads = [f"{comment(name)} ({comment(model.units.get(name, '1'))})" for name in model.covariates]
     model = replace(
         model,
-        units={_plain(role): _plain(unit) for role, unit in model.units.items()},
-        covariates=tuple(_plain(covariate) for covariate in model.covariates),
+        units={role: comment(unit) for role, unit in model.units.items()},
+        covariates=tuple(map(comment, model.covariates)),
     )
     real = "float" if precision == "single" else "double"
     net = "double" if precision == "double" else "float"
@@ -148,6 +150,7 @@ def c_templates(model: ModelConstants, name: str, precision: Precision) -> CTemp
         "net_bits": BITS[net],
         "directions": " and ".join(channel.name for channel in model.channels),
         "command_units": _command_units(model),
+        "loads": ", ".join(loads),
         "parameters": parameters,
         "fields": [typed(field, "") for field in common],
         "channel_fields": {
@@ -187,7 +190,7 @@ def number(value: float | int, kind: str) -> str:
 
 @cache
 def _environment(real: str, net: str) -> Environment:
-    # The text is C, not HTML: nothing is escaped.
+    # The text is C, not HTML: nothing is escaped. What a file says stands in it through `comment` alone.
     environment = Environment(  # noqa: S701
         loader=PackageLoader("hitchid.export"),
         undefined=StrictUndefined,
@@ -201,6 +204,7 @@ def _environment(real: str, net: str) -> Environment:
         "array": lambda values: _array(values, lambda value: number(value, real)),
         "nets": lambda values: _array(values, lambda value: number(value, net)),
         "ints": lambda values: _array(values, str),
+        "html": html_text,
     }
     return environment
 
@@ -233,18 +237,6 @@ def _centred(covered: Range | None, value: str, real: str) -> str:
     if covered is None or not covered.half_width > 0:
         return number(0, real)
     return f"({value} - {number(covered.middle, real)}) / {number(covered.half_width, real)}"
-
-
-def _plain(text: str) -> str:
-    """Return text that may stand in a comment of C: ASCII, and no end of a comment."""
-    text = (
-        text.replace("°", "deg")
-        .replace("µ", "u")
-        .replace("Ω", "Ohm")
-        .replace("*/", "* /")
-        .replace("/*", "/ *")
-    )
-    return " ".join(text.encode("ascii", "replace").decode().replace("\\", "/").split())
 
 
 def _command_units(model: ModelConstants) -> str:

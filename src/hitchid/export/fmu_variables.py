@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from hitchid._support.inert import identifiers
 from hitchid.data.record import COMMAND
 from hitchid.export.c_templates import Field, number
 from hitchid.export.constants import ModelConstants
@@ -85,10 +86,10 @@ def _variables(
         "Whether there is a measured displacement",
     )
     yield _parameter("displacement_start", "Displacement at the start", unit, start)
-    for covariate, mean in zip(model.covariates, model.mean_load, strict=True):
-        name = f"load_{_identifier(covariate)}"
+    names = identifiers(model.covariates)
+    for name, covariate, mean in zip(names, model.covariates, model.mean_load, strict=True):
         described = f"{covariate} before motion; its mean in the tests by default"
-        yield _parameter(name, described, model.units.get(covariate, "1"), mean)
+        yield _parameter(f"load_{name}", described, model.units.get(covariate, "1"), mean)
     for field in parameters:
         unit_of_field = _unit_of(field.name, model)
         yield Variable(
@@ -129,8 +130,3 @@ def _unit_of(parameter: str, model: ModelConstants) -> str:
     if parameter.endswith("_dead_zone"):
         return model.units.get(COMMAND[parameter.removesuffix("_dead_zone")], "1")
     return model.units["displacement"]
-
-
-def _identifier(text: str) -> str:
-    """Return a name of letters, digits and underscores."""
-    return "".join(character if character.isascii() and character.isalnum() else "_" for character in text)

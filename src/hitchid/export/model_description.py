@@ -5,6 +5,7 @@ from math import pi
 from typing import Literal, NamedTuple
 from xml.etree import ElementTree
 
+from hitchid._support.inert import xml_bytes
 from hitchid._support.versions import installed_versions
 from hitchid.export.fmu_variables import Variable
 
@@ -95,8 +96,7 @@ def model_description(
     for reference, variable in enumerate(variables):
         listed.append(_variable_2(reference, variable) if is_2 else _variable_3(reference, variable))
     root.append(_structure(variables, is_2=is_2))
-    ElementTree.indent(root)
-    return b'<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="utf-8") + b"\n"
+    return xml_bytes(root)
 
 
 def build_description(name: str, sources: Sequence[str]) -> bytes:
@@ -108,8 +108,7 @@ def build_description(name: str, sources: Sequence[str]) -> bytes:
     )
     for source in sources:
         ElementTree.SubElement(files, "SourceFile", {"name": source})
-    ElementTree.indent(root)
-    return b'<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="utf-8") + b"\n"
+    return xml_bytes(root)
 
 
 def _interface(kind: str, name: str, sources: Sequence[str], step_s: float, *, is_2: bool) -> Element:

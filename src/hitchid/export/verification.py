@@ -1,6 +1,8 @@
 """Proof that generated code computes what the model does: reference runs, replayed through it."""
 
+import os
 import subprocess
+import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from hitchid._support.inert import printable
 from hitchid.errors import HitchError
 from hitchid.export.c_templates import Precision
 from hitchid.export.compiler import Compiler
@@ -18,6 +21,7 @@ from hitchid.export.reference import ReferenceRun
 COLUMNS = 4  # of a replay: displacement, mode, flags, half width
 COMMAND_MISSING, BOTH_VALVES = 1, 4  # flags, as in the generated header
 TIMEOUT_S = 60.0
+CONFINED = Path(__file__).with_name("confined.py")  # not imported: it acts on the process that runs it
 # Largest difference of the displacement as a share of its range in the tests, with measurements and in free
 # run: double precision rounds at 1e-16, and 3000 steps add up.
 ROUNDING: dict[Precision, tuple[float, float]] = {
@@ -92,7 +96,7 @@ def run_replay(
         program: and its first arguments.
         head: that it reads before the rows.
         inputs: the rows.
-        folder: for its files.
+        folder: of the program and its files; where the system can, the program sees no others.
 
     Raises:
         ParityError: the program fails.
@@ -101,10 +105,23 @@ def run_replay(
     numbers = (np.ascontiguousarray(each, dtype="<f8").tobytes() for each in (head, inputs))
     source.write_bytes(b"".join(numbers))
     arguments = [*program, str(source), str(result)]
-    done = subprocess.run(arguments, capture_output=True, timeout=TIMEOUT_S, check=False)  # noqa: S603
-    if done.returncode:
-        raise ParityError(f"the generated code ended with code {done.returncode}; please report this model")
-    return np.fromfile(result, dtype="<f8").reshape(-1, COLUMNS)
+    environment = {name: os.environ[name] for name in ("SYSTEMROOT",) if name in os.environ}
+    if os.name == "posix":
+        arguments = [sys.executable, "-I", "-S", str(CONFINED), str(folder), *arguments]
+    try:
+        done = subprocess.run(  # noqa: S603
+            arguments, cwd=folder, env=environment, capture_output=True, timeout=TIMEOUT_S, check=False
+        )
+    except subprocess.TimeoutExpired as error:
+        raise ParityError(f"the generated code ran for {TIMEOUT_S:g} s; please report this model") from error
+    rows = np.fromfile(result, dtype="<f8") if done.returncode == 0 else np.zeros(0)
+    if rows.size != COLUMNS * len(inputs):
+        said = printable(done.stderr.decode(errors="replace")[-200:]).strip()
+        raise ParityError(
+            f"the generated code ended with code {done.returncode} after {rows.size // COLUMNS} of "
+            f"{len(inputs)} samples{f' ({said})' if said else ''}; please report this model"
+        )
+    return rows.reshape(-1, COLUMNS)
 
 
 def compare(

@@ -1,6 +1,5 @@
 """A run: the plan of the operator while it is carried out, with its logs."""
 
-import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,6 +7,7 @@ from typing import cast
 
 import numpy as np
 
+from hitchid._support.inert import toml_text
 from hitchid.control import PositionController, load_controller
 from hitchid.data.record import DISPLACEMENT
 from hitchid.errors import InputError
@@ -172,6 +172,6 @@ def _campaign_file(signals: Sequence[Signal]) -> str:
     lines = ["[signals]", 'time = "time_s"']
     for signal in signals:
         if signal.name in REQUIRED:
-            column, unit = json.dumps(signal.column), json.dumps(signal.unit)
+            column, unit = toml_text(signal.column), toml_text(signal.unit)
             lines.append(f"{signal.name} = {{ column = {column}, unit = {unit} }}")
     return "\n".join(lines) + "\n"

@@ -1,6 +1,5 @@
 """Proposal of a `campaign.toml` from the channels of logs, every guess with its reason."""
 
-import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import permutations
 from pathlib import Path
@@ -8,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hitchid._support.inert import printable, toml_text
 from hitchid.audit import CommandResponse, rest_level
 from hitchid.data.left_out import refuse, split_usable
 from hitchid.data.test_kinds import ACTIVE_FRACTION
@@ -84,7 +84,7 @@ def propose(logs: str | Path | Iterable[str | Path]) -> str:
             f"check the columns: {', '.join(names) or 'none'}"
         )
     # A line break in a name would end a comment.
-    return "\n".join(line.replace("\n", " ") for line in _lines(guesses, time, timed, names))
+    return "\n".join(printable(line.replace("\n", " ")) for line in _lines(guesses, time, timed, names))
 
 
 def _time(contents: Sequence[Content]) -> _Time:
@@ -271,7 +271,7 @@ def _covariates(best: _Guess, contents: Sequence[Content], names: Sequence[str])
     if pressures:
         also = f"; other pressures: {', '.join(pressures[1:MAX_SHOWN])}" if pressures[1:] else ""
         yield f"# a pressure by its name; may represent the load{also}"
-        yield f"covariates = [{json.dumps(pressures[0], ensure_ascii=False)}]"
+        yield f"covariates = [{toml_text(pressures[0])}]"
 
 
 def _others(guesses: Sequence[_Guess]) -> Iterator[str]:
@@ -288,4 +288,4 @@ def _range(name: str, contents: Sequence[Content]) -> tuple[float, float]:
 
 
 def _column(name: str, unit: str, further: str = "") -> str:
-    return f'{{ column = {json.dumps(name, ensure_ascii=False)}, unit = "{unit}"{further} }}'
+    return f'{{ column = {toml_text(name)}, unit = "{unit}"{further} }}'

@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from html import escape
 from math import isclose
 from typing import TYPE_CHECKING, overload
 
 from hitchid._support.dataframes import dataframe
+from hitchid._support.inert import html_text
 from hitchid._support.short_repr import short_repr
 from hitchid._support.summary import screen
 from hitchid.data.record import COMMAND, DISPLACEMENT
@@ -116,9 +116,9 @@ class ParameterTable(Sequence[ParameterRow]):
         return screen(["ParameterTable", *lines])
 
     def _repr_html_(self) -> str:
-        head = "".join(f"<th>{escape(cell)}</th>" for cell in HEADER)
+        head = "".join(f"<th>{html_text(cell)}</th>" for cell in HEADER)
         body = "".join(
-            f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in _cells(row))}</tr>" for row in self.rows
+            f"<tr>{''.join(f'<td>{html_text(cell)}</td>' for cell in _cells(row))}</tr>" for row in self.rows
         )
         return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 

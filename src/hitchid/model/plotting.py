@@ -51,7 +51,7 @@ def plot_speed_map(model: "Hitch", axes: "Axes | Sequence[Axes] | np.ndarray | N
             else:
                 draw_characteristics(each, known)
             if axes is None:
-                each.set_title(_map_title(model, direction, known), loc="left", parse_math=False)
+                each.set_title(_map_title(model, direction, known), loc="left")
     return drawn
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from hitchid.errors import InputError
-from hitchid.plots.style import PAGE_IN, legend_above, style
+from hitchid.plots.style import PAGE_IN, legend_above, plain_texts, style
 
 LEGEND_COLUMNS = 4  # of the legend above a figure; chosen
 
@@ -49,6 +49,10 @@ def canvas(
         with style():
             yield given
             _legend_each(given)
+            for each in given:  # what the caller wrote into them stays
+                for own in (each.xaxis.label, each.yaxis.label, each.get_legend()):
+                    if own is not None:
+                        plain_texts(own)
         return
     from matplotlib import pyplot  # only here: it chooses a backend and keeps a list of figures
 
@@ -62,6 +66,7 @@ def canvas(
             elif any(each.get_legend_handles_labels()[0] for each in made):
                 legend_above(figure, *made, columns=LEGEND_COLUMNS, order=legend_order)
             figure.align_ylabels()
+            plain_texts(figure)
         except BaseException:
             pyplot.close(figure)
             raise

@@ -11,7 +11,10 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis, XAxis
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, StrMethodFormatter
+
+from hitchid._support.inert import printable
 
 DECADE, DECADES = 10, 50  # ratio of axis ends: below, linear ticks; above, powers of ten only; chosen
 DECIMATION_BINS = 300  # segments of a curve, each drawn by its lowest and highest point; chosen
@@ -120,6 +123,8 @@ _RC_PARAMS: dict[Any, Any] = {
     "path.simplify_threshold": 0.3,
     "svg.hashsalt": "hitchid",
     "svg.fonttype": "none",
+    "text.parse_math": False,  # names and units are no mathematics
+    "text.usetex": False,  # nor programs of TeX, whatever the user's settings are
 }
 _Params = ParamSpec("_Params")
 
@@ -137,9 +142,18 @@ def styled(draw: Callable[_Params, Figure]) -> Callable[_Params, Figure]:
     @wraps(draw)
     def wrapper(*args: _Params.args, **kwargs: _Params.kwargs) -> Figure:
         with style():
-            return draw(*args, **kwargs)
+            figure = draw(*args, **kwargs)
+            plain_texts(figure)
+            return figure
 
     return wrapper
+
+
+def plain_texts(artist: Artist) -> None:
+    """Show the texts of a figure, or of a part of it, as they are, but for characters that no font has."""
+    for text in artist.findobj(Text):
+        if isinstance(text, Text):
+            text.set(text=printable(text.get_text()).expandtabs(1), parse_math=False, usetex=False)
 
 
 def finite_or_nan(values: Iterable[float | None]) -> np.ndarray:

@@ -1,12 +1,12 @@
 """A figure as SVG: small, reproducible, and embeddable in a page."""
 
 import re
-from html import escape
 from io import StringIO
 
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from hitchid._support.inert import html_text, printable
 from hitchid.plots.style import PAPER, SHADES, style
 
 _TAG = re.compile("<[^>]+>")  # text between tags is not changed
@@ -27,7 +27,7 @@ def svg(figure: Figure) -> str:
     with style():
         # As `savefig`, without its additional drawing pass for the layout.
         FigureCanvasSVG(figure).print_svg(buffer, metadata=_NO_METADATA)
-    return _TAG.sub(lambda tag: _LONG_NUMBER.sub(_rounded, tag[0]), buffer.getvalue())
+    return _TAG.sub(lambda tag: _LONG_NUMBER.sub(_rounded, tag[0]), printable(buffer.getvalue()))
 
 
 def _rounded(number: re.Match) -> str:
@@ -55,4 +55,4 @@ def inline_svg(text: str, name: str, alt: str) -> str:
     element = _TAG.sub(adapt, element)
     head, rest = element.split(">", 1)
     head = re.sub(r' (?:width|height|version|xmlns(?::xlink)?)="[^"]*"', "", head)
-    return f'{head} role="img" aria-label="{escape(alt)}">{_STYLE.sub("", rest, count=1)}'
+    return f'{head} role="img" aria-label="{html_text(alt)}">{_STYLE.sub("", rest, count=1)}'

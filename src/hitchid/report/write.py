@@ -64,12 +64,7 @@ def write_report_files(
     Raises:
         InputError: a package that a format requires is not installed.
     """
-    figures = {f"{FIGURES}/{picture.name}.svg": _utf8(picture.svg) for picture in document.pictures}
+    figures = {f"{FIGURES}/{picture.name}.svg": picture.svg.encode() for picture in document.pictures}
     data = csv_files((picture.table for picture in document.pictures if picture.data), data_folder)
     rendered = {FILES[name]: render(document, name) for name in ("html", *formats)}
     write_files(folder, {**figures, **data, **rendered})
-
-
-def _utf8(text: str) -> bytes:
-    """Return text as UTF-8; characters that cannot be encoded, as in names of logs, are replaced."""
-    return text.encode("utf-8", errors="replace")

@@ -54,8 +54,7 @@ def plot_fit(
         displacement_axes, error_axes = drawn
         draw_fit(displacement_axes, error_axes, shown, unit, models)
         if axes is None:
-            title = f"{section}: {selection}".encode(errors="replace").decode()
-            drawn[0].set_title(title, loc="left", parse_math=False)
+            drawn[0].set_title(f"{section}: {selection}", loc="left")
     return drawn
 
 

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hitchid._support.inert import spreadsheet_text
 from hitchid.data.content import Content, LogChannel
 from hitchid.errors import LogError
 from hitchid.readers.content import CHANNEL_HINT, MAX_UNPACK_RATIO, ChannelSelection, max_unpacked_bytes
@@ -119,8 +120,7 @@ def write_rows(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]])
     """
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
+    writer.writerows([spreadsheet_text(cell) for cell in row] for row in (header, *rows))
     data = text.getvalue().encode()
     path.write_bytes(gzip.compress(data, mtime=0) if path.suffix.lower() == ".gz" else data)
 

@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from hitchid._support.inert import printable
 from hitchid.fleet.comparison import FleetComparison
 from hitchid.fleet.parameters import DEAD_ZONE, GAIN, FleetParameter
 from hitchid.plots import fleet as plots
@@ -24,8 +25,8 @@ HALF_WIDTH = 1.96  # of a 95 % interval, in standard errors
 
 def short_name(name: str) -> str:
     """Return a name of at most 26 characters, without its middle if it is longer."""
-    half = NAME_LENGTH // 2
-    return name if len(name) <= NAME_LENGTH else f"{name[: half - 1]}…{name[-half:]}"
+    half, shown = NAME_LENGTH // 2, printable(name)
+    return shown if len(shown) <= NAME_LENGTH else f"{shown[: half - 1]}…{shown[-half:]}"
 
 
 def shown_machines(comparison: FleetComparison) -> tuple[list[int], list[int]]:

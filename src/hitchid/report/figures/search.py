@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from hitchid._support.inert import printable
 from hitchid.model import SearchSummary
 from hitchid.plots.style import (
     COLOURS,
@@ -135,7 +136,7 @@ def structures(candidates: Sequence[TracedCandidate], unit: str) -> Figure:
             label=label,
         )
     names = [f"{candidate.name}{' (chosen)' if candidate.chosen else ''}" for candidate in candidates]
-    axis.set_yticks(row_positions, [fill(name, WRAP) for name in names])
+    axis.set_yticks(row_positions, [fill(printable(name), WRAP) for name in names])
     axis.set_ylim(-0.6, len(candidates) - 0.4)
     logarithmic(axis.xaxis)
     axis.set_xlabel(f"RMSE in free run / {unit}")

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hitchid._support.storage import write_file
-from hitchid.data.plotting import draw_record, printable
+from hitchid.data.plotting import draw_record
 from hitchid.data.record import DIRECTIONS, Record
 from hitchid.data.segmentation import LABELS, Segment
 from hitchid.plots.style import COLOURS, PAGE_IN, legend_above, style, styled
@@ -48,7 +48,7 @@ def timeline(records: Sequence[tuple[Record, Sequence[Segment]]], marks: Sequenc
         displacement_axes, command_axes = axes[2 * number], axes[2 * number + 1]
         draw_record(displacement_axes, command_axes, record, segments, thin=True)
         _annotate_marks(displacement_axes, record, [mark for mark in marks if mark.record == record.name])
-        displacement_axes.set_title(printable(record.name), loc="left", parse_math=False)
+        displacement_axes.set_title(record.name, loc="left")
         displacement_axes.tick_params(labelbottom=False)
         for subplot in (displacement_axes, command_axes):
             subplot.set_xlim(record.time_s[0], record.time_s[-1])

@@ -14,6 +14,7 @@ from matplotlib.ticker import (
     StrMethodFormatter,
 )
 
+from hitchid._support.inert import printable
 from hitchid.model import Estimate, LoadScatter
 from hitchid.plots.style import COLOURS, COLUMN_IN, FAINT, INK, legend_above, logarithmic, styled
 from hitchid.validation import BandFigures
@@ -96,7 +97,7 @@ def loads(load_scatter: LoadScatter) -> Figure:
     axes.hlines(rows, lower, upper, color=COLOURS["benchmark"], linewidth=1.2)
     axes.plot(speed, rows, "o", color=INK, markersize=3)
     named = len(tests) <= NAMED_ROWS
-    axes.set_yticks(rows if named else [], [test.test for test in tests] if named else [])
+    axes.set_yticks(rows if named else [], [printable(test.test) for test in tests] if named else [])
     axes.set_ylim(-0.7, len(tests) - 0.3)
     axes.set_xlabel("speed above the model's / %")
     return figure

@@ -3,6 +3,7 @@
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from hitchid._support.inert import html_value
 from hitchid.plots.style import SHADES
 from hitchid.report.document import Document, Equation, Findings, Picture, Pictures, Rating, Table, Text
 from hitchid.report.renderers.renderer import Renderer
@@ -24,7 +25,11 @@ class Html(Renderer):
 
 def _page(document: Document) -> str:
     environment = Environment(
-        loader=PackageLoader("hitchid.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+        loader=PackageLoader("hitchid.report"),
+        autoescape=True,
+        finalize=html_value,
+        undefined=StrictUndefined,
+        trim_blocks=True,
     )
 
     def image(picture: Picture) -> Markup:

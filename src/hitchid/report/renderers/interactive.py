@@ -1,8 +1,6 @@
 """The unseen tests of a report as one self-contained interactive page."""
 
-import json
 from base64 import b64encode
-from collections.abc import Mapping
 from hashlib import sha256
 from importlib.resources import files
 
@@ -10,6 +8,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from hitchid._support.inert import html_value, script_json
 from hitchid.plots.style import COLOURS, DASHES, SHADES
 from hitchid.report.document import Document, Signals
 from hitchid.report.renderers.renderer import Renderer
@@ -18,8 +17,6 @@ from hitchid.validation.names import label
 
 SCRIPTS = ("interactive-plots.js", "interactive-controls.js")
 SHOWN_FIRST = ("benchmark", "free_run", "one_step")  # drawn at first of a model; of several, all are; chosen
-# Characters that could end a script element or a line of a script, escaped within JSON's strings.
-_ESCAPES = {ord(character): f"\\u{ord(character):04x}" for character in "<>&\u2028\u2029"}
 
 
 class Interactive(Renderer):
@@ -35,6 +32,7 @@ class Interactive(Renderer):
         environment = Environment(
             loader=PackageLoader("hitchid.report"),
             autoescape=True,
+            finalize=html_value,
             undefined=StrictUndefined,
             trim_blocks=True,
         )
@@ -47,7 +45,7 @@ class Interactive(Renderer):
             script=Markup(script),  # noqa: S704 - our own
             style_hash=_hash(style),
             script_hash=_hash(script),
-            data=Markup(_json({} if signals is None else _content(signals))),  # noqa: S704 - escaped
+            data=Markup(script_json({} if signals is None else _content(signals))),  # noqa: S704 - escaped
         )
         return page.encode("utf-8", errors="replace")
 
@@ -69,10 +67,6 @@ def _colours() -> str:
         return f":root {{ {' '.join(shades)} }}\n"
 
     return f"{variables('light')}@media (prefers-color-scheme: dark) {{ {variables('dark')} }}\n"
-
-
-def _json(content: Mapping[str, object]) -> str:
-    return json.dumps(content, ensure_ascii=False, separators=(",", ":")).translate(_ESCAPES)
 
 
 def _content(signals: Signals) -> dict[str, object]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
+from hitchid._support.inert import markdown_text
 from hitchid.report.document import Document, Equation, Finding, Findings, ReportSection, Table, Text
 from hitchid.report.renderers.renderer import Renderer
 
@@ -13,8 +14,8 @@ class Markdown(Renderer):
 
     def render(self, document: Document) -> bytes:
         """Return the document as UTF-8; characters that cannot be encoded are escaped."""
-        lines = [f"# {document.title}", ""]
-        items = [*_items(document.verdict), *(f"- {notice}" for notice in document.notices)]
+        lines = [f"# {markdown_text(document.title)}", ""]
+        items = [*_items(document.verdict), *(f"- {markdown_text(notice)}" for notice in document.notices)]
         lines += [*items, ""] if items else []
         for section in document.sections:
             lines += _section(section, 2)
@@ -22,18 +23,18 @@ class Markdown(Renderer):
 
 
 def _items(findings: Sequence[Finding]) -> list[str]:
-    return [f"- {finding.level.value}: {finding.sentence}" for finding in findings]
+    return [f"- {finding.level.value}: {markdown_text(finding.sentence)}" for finding in findings]
 
 
 def _section(section: ReportSection, level: int) -> Iterator[str]:
     """Yield the lines of a section; without a title its tables belong to the level above."""
     if section.title:
-        yield from (f"{'#' * level} {section.title}", "")
+        yield from (f"{'#' * level} {markdown_text(section.title)}", "")
         level += 1
     for block in section.blocks:
         match block:
             case Text(text) | Equation(text=text):
-                yield from (text, "")
+                yield from (markdown_text(text), "")
             case Findings(items):
                 yield from (*_items(items), "")
             case Table():
@@ -45,7 +46,9 @@ def _section(section: ReportSection, level: int) -> Iterator[str]:
 
 
 def _table(table: Table, level: int) -> Iterator[str]:
-    yield from (f"{'#' * level} {table.title}", "")
-    for row in (table.header, ("---", *("---:" for _ in table.header[1:])), *table.rows):
-        yield f"| {' | '.join(row)} |"
+    yield from (f"{'#' * level} {markdown_text(table.title)}", "")
+    yield f"| {' | '.join(map(markdown_text, table.header))} |"
+    yield f"| {' | '.join(['---', *('---:' for _ in table.header[1:])])} |"
+    for row in table.rows:
+        yield f"| {' | '.join(map(markdown_text, row))} |"
     yield ""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import matplotlib as mpl
 
+from hitchid._support.inert import printable_texts
 from hitchid.report.document import (
     Block,
     Document,
@@ -43,9 +44,9 @@ def _pdf(document: Document) -> bytes:
         (folder / "figures").mkdir()
         for picture in document.pictures:
             path = folder / "figures" / f"{picture.name}.svg"
-            path.write_bytes(picture.svg.encode("utf-8", errors="replace"))
-        report_json = json.dumps(_document_dict(document), ensure_ascii=False)
-        (folder / "report.json").write_bytes(report_json.encode("utf-8", errors="replace"))
+            path.write_text(picture.svg, encoding="utf-8")
+        report_json = json.dumps(printable_texts(_document_dict(document)), ensure_ascii=False)
+        (folder / "report.json").write_text(report_json, encoding="utf-8")
         with as_file(files("hitchid.report") / "templates" / TEMPLATE) as template:
             shutil.copy(template, folder)
         fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"

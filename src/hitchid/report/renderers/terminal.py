@@ -4,9 +4,9 @@ from io import StringIO
 from textwrap import fill
 
 from rich import box
-from rich.console import Console
 from rich.table import Table as RichTable
 
+from hitchid._support.console import PlainConsole, line
 from hitchid.report.document import Document, Table
 from hitchid.report.renderers.renderer import Renderer
 
@@ -23,8 +23,8 @@ class Terminal(Renderer):
         stream = StringIO()
         for finding in document.verdict:
             text = f"{finding.level.value:8}{finding.sentence}"
-            stream.write(fill(text, COLUMNS, subsequent_indent=" " * 8, break_on_hyphens=False) + "\n")
-        console = Console(file=stream, width=COLUMNS, markup=False, highlight=False)
+            stream.write(line(fill(text, COLUMNS, subsequent_indent=" " * 8, break_on_hyphens=False)))
+        console = PlainConsole(file=stream, width=COLUMNS)
         for table in document.summary:
             console.print(rich_table(table, kind=box.SIMPLE_HEAD))
         return stream.getvalue().encode("utf-8", errors="replace")
