@@ -52,6 +52,27 @@ def job(logs, folder) -> IdentificationJob:
     return identification_job(str(logs), str(folder), fleets.QUICK)
 
 
+@pytest.mark.parametrize("name", ["..x", ".hidden", "rig\n1", "rig\x1b[31m", "rig\udcff", "rig\u2028"])
+def test_a_name_that_no_machine_can_have_is_refused_before_any_work(name, logs, tmp_path):
+    fleet = tmp_path / "logs"
+    shutil.copytree(logs / "tractor-0", fleet / "tractor-0")
+    shutil.copytree(logs / "tractor-0", fleet / name)
+    with pytest.raises(InputError, match="no machine can be called") as refusal:
+        identify_fleet(str(fleet), str(tmp_path / "results"), settings=fleets.QUICK, runner=ONE)
+    assert ascii(name) in str(refusal.value)
+    assert not (tmp_path / "results").exists()
+
+
+def test_hidden_folders_without_logs_are_passed_over(logs, tmp_path):
+    shutil.copytree(logs / "tractor-0", tmp_path / "rig [1]")
+    (tmp_path / ".git").mkdir()
+    (tmp_path / ".git" / "HEAD").write_text("ref")
+    (tmp_path / "rig [1]" / "._a.csv").write_text("of a file system")
+    (machine,) = machines_of(Store(str(tmp_path)))
+    assert machine.name == "rig [1]"
+    assert len(machine.files) == len(list((logs / "tractor-0").iterdir()))
+
+
 @pytest.mark.parametrize("run", [run_local, pytest.param(run_on_cluster, marks=pytest.mark.long)])
 def test_models_do_not_depend_on_runner_workers_and_order(run, logs, results, tmp_path):
     own = job(logs, tmp_path)

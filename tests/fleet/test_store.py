@@ -66,6 +66,17 @@ def test_what_is_written_is_read_and_listed(store):
     assert not store.has("rows/c.json")
 
 
+@pytest.mark.parametrize("name", ["rig [1]", "rig *", "rig ?", "[a-z]", "**", "rig {1,2}", "ü %20#"])
+def test_a_name_that_looks_like_a_pattern_is_read_as_it_is(store, name):
+    others = ("rig 1", "rig 2", "a", "z")
+    for other in (*others, name):
+        store.write(f"{other}/log.csv", other.encode())
+    wanted = [f"{name}/log.csv", "rig 1/log.csv"]
+    assert store.read_many(wanted) == {wanted[0]: name.encode(), wanted[1]: b"rig 1"}
+    assert store.read_many(wanted[:1]) == {wanted[0]: name.encode()}
+    assert {file.name for file in store.files()} == {f"{each}/log.csv" for each in (*others, name)}
+
+
 def test_a_listing_tells_that_a_file_has_changed(store):
     store.write("a.csv", b"1")
     (first,) = store.files()

@@ -2,12 +2,21 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from unicodedata import category
 
 from hitchid._support.storage import canonical_json, digest
 from hitchid.errors import InputError
 from hitchid.fleet.store import Store, StoredFile
+from hitchid.readers.formats import known_format
 
 KEY_LENGTH = 16  # characters of a digest in the name of a file: 64 bits, no two of 10⁶ alike by chance
+UNNAMEABLE = (
+    "Cc",
+    "Cs",
+    "Zl",
+    "Zp",
+)  # control characters, bytes that are no UTF-8, line separators
 
 
 @dataclass(frozen=True)
@@ -46,16 +55,28 @@ def machines_of(store: Store) -> tuple[Machine, ...]:
     """Return the machines of a store, sorted by name.
 
     Raises:
-        InputError: there is none.
+        InputError: there is none, or a folder with logs has a name that a machine cannot have.
         StoreError: the store cannot be listed.
     """
     folders: dict[str, list[StoredFile]] = {name: [] for name in store.local_folders()}
-    for file in store.files():
+    hidden_logs: set[str] = set()
+    for file in store.files(hidden=True):
         folder, *below = file.name.split("/")
+        if folder.startswith("."):
+            # What an editor or a version control keeps is passed over, but a machine never without a word.
+            hidden_logs |= {folder} if len(below) == 1 and known_format(Path(file.name)) else set()
+            continue
         if below:
             folders.setdefault(folder, [])
-        if len(below) == 1:
+        if len(below) == 1 and not below[0].startswith("."):
             folders[folder].append(file)
+    # Refused before any work: such a name is lost in a listing of results, or cannot be written to a table.
+    refused = sorted(hidden_logs | {name for name in folders if any(category(c) in UNNAMEABLE for c in name)})
+    if refused:
+        raise InputError(
+            f"{store.url}: no machine can be called {', '.join(map(ascii, refused))}; expected names in "
+            "UTF-8 without control characters that do not begin with a dot: rename or move these folders"
+        )
     if not folders:
         raise InputError(f"{store.url}: there is no folder with logs; expected one folder for each machine")
     return tuple(Machine(name, tuple(files)) for name, files in sorted(folders.items()))

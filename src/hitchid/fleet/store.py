@@ -66,17 +66,19 @@ class Store:
         """Return the store of a folder in this one."""
         return Store(f"{self.url.rstrip('/')}/{folder}")
 
-    def files(self) -> tuple[StoredFile, ...]:
+    def files(self, *, hidden: bool = False) -> tuple[StoredFile, ...]:
         """Return all files, sorted by name; none where the folder does not exist.
+
+        Args:
+            hidden: whether those whose name, or a folder's, begins with a dot are among them.
 
         Raises:
             StoreError: the store cannot be listed.
         """
         details = self._call("list", "", lambda system, root: system.find(root, detail=True))
-        listed = (_stored_file(path, info, self._root()[1]) for path, info in dict(details).items())
-        return tuple(
-            sorted((file for file in listed if not _is_hidden(file.name)), key=lambda file: file.name)
-        )
+        listed = [_stored_file(path, info, self._root()[1]) for path, info in dict(details).items()]
+        chosen = [file for file in listed if hidden or not _is_hidden(file.name)]
+        return tuple(sorted(chosen, key=lambda file: file.name))
 
     def local_folders(self) -> tuple[str, ...]:
         """Return the folders at the top of a local store, also empty ones; an object store has none."""
@@ -112,10 +114,12 @@ class Store:
         if not names:
             return {}
         root = self._root()[1]
-        contents = self._call("read", "", lambda system, _: system.cat([f"{root}/{name}" for name in names]))
-        if len(names) == 1 and isinstance(contents, bytes):
-            return {names[0]: contents}
-        return {_below(path, root): content for path, content in contents.items()}
+        paths = [f"{root}/{name}" for name in names]
+        # Not `cat`: it reads `rig [1]`, `rig ?` and `rig *` as patterns, which other machines match.
+        contents = self._call(
+            "read", "", lambda system, _: system.cat_ranges(paths, None, None, on_error="raise")
+        )
+        return dict(zip(names, contents, strict=True))
 
     def write(self, name: str, content: bytes) -> None:
         """Write a file whole: no reader sees a part of it, whenever this process ends.
