@@ -93,6 +93,7 @@ class Seed(NamedTuple):
         text: whether words may be changed, not bytes alone.
         sealed: whether a checksum tells every change, so that no other result may come out.
         changes: changes of this kind of file alone.
+        costly: whether what is done with it is compiled for seconds.
     """
 
     name: str
@@ -102,6 +103,7 @@ class Seed(NamedTuple):
     text: bool = False
     sealed: bool = False
     changes: tuple[Callable[[np.random.Generator, Files], Files], ...] = ()
+    costly: bool = False
 
 
 class Hung(BaseException):
@@ -326,7 +328,8 @@ def _kept(place: Path) -> Iterator[Seed]:
         files = {path.name: path.read_bytes() for path in (place / "model").iterdir() if path.name[0] != "."}
         if model.rivals:
             yield Seed("model", files, tuple(files), read_model, sealed=True)
-        yield Seed(f"model {name} resealed", files, (), use_model, changes=(_resealed,))
+        yield Seed(f"model {name} resealed", files, (), look_at_model, changes=(_resealed,))
+        yield Seed(f"model {name} in use", files, (), use_model, changes=(_resealed,), costly=True)
     controller = _controller(place)
     yield Seed(
         "controller",
@@ -470,10 +473,24 @@ def read_model(folder: Path, _: ReaderProcess) -> object:
     return load(folder).provenance.digest
 
 
-def use_model(folder: Path, _: ReaderProcess) -> object:
-    """Read a model and take what anybody takes of it; an offer that it does not make is refused by name."""
+def look_at_model(folder: Path, _: ReaderProcess) -> object:
+    """Read a model and look at what it says, without a simulation."""
     model = load(folder)
     load_trace(folder)
+    repr(model)
+    repr(model.parameters)
+    model.segmentation_dead_zones(model.units)
+    repr(model.command_thresholds(model.units))
+    with suppress(HitchError):
+        settings_of_model(model.provenance.settings)
+    save(model, folder.with_name("again"), force=True)
+    return model.provenance.digest
+
+
+def use_model(folder: Path, process: ReaderProcess) -> object:
+    """Take what anybody takes of a model; an offer that it does not make is refused by name."""
+    seen = look_at_model(folder, process)
+    model = load(folder)
     count = 3 * SAMPLES
     time = np.arange(count)
     signals = {"displacement": np.full(count, 100.0)}
@@ -485,8 +502,6 @@ def use_model(folder: Path, _: ReaderProcess) -> object:
         signals[name] = np.full(count, 110.0)
         units[name] = model.units.get(name, "bar")
     record = Record(name="a", step_s=model.step_s, signals=signals, units=units)
-    repr(model)
-    repr(model.parameters)
     simulated = model.simulate(record)
     rows = [simulated.displacement, model.predict(record, horizon=3)]
     state = model.init_state(100.0)
@@ -495,8 +510,6 @@ def use_model(folder: Path, _: ReaderProcess) -> object:
         rows.append(np.asarray(moved))
     if not all(np.all(np.abs(row) < 1e300) for row in rows):
         raise ValueError("a displacement that is no number")
-    model.segmentation_dead_zones(model.units)
-    repr(model.command_thresholds(model.units))
     if model.has_bands:
         simulated.band(0.9)
         model.band(record, horizon=5)
@@ -509,10 +522,7 @@ def use_model(folder: Path, _: ReaderProcess) -> object:
     for rivals in model.rivals.values():
         for fitted in rivals.baselines.values():
             fitted.free_run(next(iter(model.channels.values())).batch([record]))
-    with suppress(HitchError):
-        settings_of_model(model.provenance.settings)
-    save(model, folder.with_name("again"), force=True)
-    return model.provenance.digest
+    return seen
 
 
 def use_controller(folder: Path, _: ReaderProcess) -> object:
@@ -535,7 +545,8 @@ def read_row(folder: Path, _: ReaderProcess) -> object:
 
 def read_kept_settings(folder: Path, _: ReaderProcess) -> object:
     """Read what a model folder says of the settings of its identification."""
-    return settings_of_model(json.loads((folder / "settings.json").read_bytes()))
+    content = json.loads((folder / "settings.json").read_bytes())
+    return settings_of_model(content if isinstance(content, dict) else {"search": content})
 
 
 class Redone(HitchError):

@@ -36,9 +36,15 @@ NAMES = tuple(fuzzing.columns())
 
 
 @pytest.fixture(scope="module")
-def every(tmp_path_factory):
+def seeds(tmp_path_factory):
     """Return a seed of every kind."""
     return fuzzing.seeds(tmp_path_factory.mktemp("seeds") / "seeds")
+
+
+@pytest.fixture(scope="module")
+def every(seeds):
+    """Return those that are handed in without being compiled."""
+    return [seed for seed in seeds if not seed.costly]
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +109,25 @@ def test_random_damage_is_refused_or_harmless(every, process, tmp_path, inputs):
             fuzzing.put(tmp_path / "in", fuzzing.changed(rng, seed, every))
             outcome = fuzzing.tried(seed, tmp_path / "in", process, whole.get(seed.name))
             assert outcome.verdict != "fault", (seed.name, number, outcome.said)
+
+
+USED = [
+    pytest.param("one channel", 40, id="one channel"),
+    pytest.param("curves", 60, id="curves", marks=pytest.mark.long),
+]
+
+
+@pytest.mark.parametrize(("name", "inputs"), USED)
+def test_an_edited_model_is_refused_or_of_use(seeds, process, tmp_path, name, inputs):
+    seed = next(seed for seed in seeds if seed.name == f"model {name} in use")
+    for number in range(inputs):
+        files = (
+            seed.files if number == 0 else fuzzing.changed(np.random.default_rng([24, number]), seed, seeds)
+        )
+        fuzzing.put(tmp_path / "in", files)
+        outcome = fuzzing.tried(seed, tmp_path / "in", process)
+        assert outcome.verdict != "fault", (number, outcome.said)
+        assert number or outcome.verdict == fuzzing.ACCEPTED, outcome.said
 
 
 def test_the_process_that_reads_outlives_what_it_refuses(every, process, tmp_path):
