@@ -22,11 +22,12 @@ from pathlib import Path
 import jax
 import numpy as np
 
+jax.config.update("jax_enable_x64", True)  # before models are made by hand
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(1, str(Path(__file__).parents[1] / "tests" / "readers"))
 
-import fuzzing
-from hitchid.readers import ReaderProcess
+import fuzzing  # noqa: E402
+from hitchid.readers import ReaderProcess  # noqa: E402
 
 REPORT_INTERVAL, MOST_MEMORY = 1000, 2**31
 MEMORY_LIMIT = 4 * 2**30  # what this process may ask for: a fault must not take the machine down
@@ -53,7 +54,6 @@ def main() -> None:
     options.add_argument("--only", default="", help="seeds whose names begin so")
     options.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "hitchid-fuzz")
     arguments = options.parse_args()
-    jax.config.update("jax_enable_x64", True)
     warnings.simplefilter("ignore")  # libraries warn of what is damaged on every input
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_LIMIT, resource.getrlimit(resource.RLIMIT_DATA)[1]))
     with tempfile.TemporaryDirectory() as scratch, ReaderProcess() as process:

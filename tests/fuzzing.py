@@ -15,7 +15,8 @@ import signal
 import struct
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from hashlib import sha256
 from importlib import resources
 from pathlib import Path
@@ -23,21 +24,52 @@ from typing import Any, NamedTuple
 
 import asammdf
 import h5py
+import jax.numpy as jnp
 import numpy as np
 from can_logs import frame, logged, message, write_dbc
 from nptdms import ChannelObject, TdmsWriter
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
 from scipy.io import netcdf_file, savemat
 
-from handmade import hitch
+import fleet_rows
+from controllers import made_up_controller, made_up_model
+from handmade import channel, hitch, hitch_of, with_bands
 from hitchid._support.checkpoints import Checkpoints
 from hitchid._support.storage import canonical_json, digest
+from hitchid.control.files import load_controller, save_controller
+from hitchid.control.margins import Margins
+from hitchid.control.tuning import DirectionMargins, Tuning
+from hitchid.data.record import LIFTING, Record
 from hitchid.data.signal_map import read_campaign_file
 from hitchid.errors import HitchError
-from hitchid.identification.settings_file import read_settings
+from hitchid.fleet.row import Row
+from hitchid.identification.settings_file import read_settings, settings_of_model
 from hitchid.inspection.inspect_logs import inspect_campaign
-from hitchid.model import load, save
+from hitchid.model import (
+    Characteristics,
+    Estimate,
+    Estimates,
+    Hitch,
+    Information,
+    LoadOfTest,
+    LoadScatter,
+    MeasuredSpeed,
+    Provenance,
+    Quantity,
+    SpeedPoint,
+    TravelLimits,
+    TwoModes,
+    Uncertainty,
+    load,
+    load_trace,
+    save,
+    step_responses,
+)
+from hitchid.model.provenance import DifferenceTest
 from hitchid.readers import ReaderProcess, assemble, find_logs, read_log, settings_of, write_table
 from hitchid.rig.parameter_files import load_rig
+from hitchid.structures import PhysicalModel, structure_named
 from hitchid.validation import read_limits
 
 SAMPLES, STEP_S = 60, 0.01
@@ -61,6 +93,7 @@ class Seed(NamedTuple):
         text: whether words may be changed, not bytes alone.
         sealed: whether a checksum tells every change, so that no other result may come out.
         changes: changes of this kind of file alone.
+        costly: whether what is done with it is compiled for seconds.
     """
 
     name: str
@@ -70,6 +103,7 @@ class Seed(NamedTuple):
     text: bool = False
     sealed: bool = False
     changes: tuple[Callable[[np.random.Generator, Files], Files], ...] = ()
+    costly: bool = False
 
 
 class Hung(BaseException):
@@ -288,17 +322,115 @@ def _nominal() -> bytes:
 
 
 def _kept(place: Path) -> Iterator[Seed]:
-    shutil.rmtree(place / "model", ignore_errors=True)
-    model = hitch(compensated=True, baselines=True, free_run=True)
-    save(model, place / "model", trace={"lifting": {"fitness": [3.0, 1.5]}})
-    files = {path.name: path.read_bytes() for path in (place / "model").iterdir() if path.name[0] != "."}
-    yield Seed("model", files, tuple(files), read_model, sealed=True)
-    changes = (_resealed,)
-    yield Seed("model resealed", files, (), read_model, changes=changes)
+    for name, model in _models():
+        shutil.rmtree(place / "model", ignore_errors=True)
+        save(model, place / "model", trace={"lifting": {"fitness": [3.0, 1.5]}})
+        files = {path.name: path.read_bytes() for path in (place / "model").iterdir() if path.name[0] != "."}
+        if model.rivals:
+            yield Seed("model", files, tuple(files), read_model, sealed=True)
+        yield Seed(f"model {name} resealed", files, (), look_at_model, changes=(_resealed,))
+        yield Seed(f"model {name} in use", files, (), use_model, changes=(_resealed,), costly=True)
+    controller = _controller(place)
+    yield Seed(
+        "controller",
+        controller,
+        tuple(controller),
+        use_controller,
+        text=True,
+        changes=(_toml_changed(CONTROLLER),),
+    )
+    row = {ROW: fleet_rows.row("tractor-7", {LIFTING: fleet_rows.figures(LIFTING)}).as_json()}
+    yield Seed("fleet row", row, tuple(row), read_row, text=True, changes=(_json_changed(ROW),))
+    settings = {"settings.json": canonical_json(KEPT_SETTINGS)}
+    yield Seed("kept settings", settings, (), read_kept_settings, changes=(_json_changed("settings.json"),))
     kept = {"values": np.arange(20.0), "number": np.array(3), "name": np.array("x")}
     Checkpoints(place / "pieces").cached_arrays("piece", lambda: kept)
     (piece,) = (place / "pieces").iterdir()
     yield Seed("checkpoint", {piece.name: piece.read_bytes()}, (piece.name,), read_checkpoint, sealed=True)
+
+
+def _models() -> Iterator[tuple[str, Hitch]]:
+    """Yield models of several structures, with every part that a model may have."""
+    whole = hitch(compensated=True, baselines=True, free_run=True, dead_time_s=0.03)
+    yield "whole", with_bands(whole, *whole.channels)
+    yield "curves", _assessed(hitch("integrator-second-order", shape=True, filtered=True))
+    yield "one channel", hitch("first-order-lag", modes=(LIFTING,), end_stop=120.5)
+    friction = jnp.array([100.0, 2.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    moved = PhysicalModel(structure_named("inertia-with-friction"), friction, jnp.zeros(()))
+    limits = TravelLimits(0.0, 300.0, False, True)
+    yield "nonlinear", hitch_of(replace(channel(LIFTING), benchmark=moved, dead_zone=0.0, limits=limits))
+
+
+def _assessed(model: Hitch) -> Hitch:
+    """Return a model with all that is known of its parameters."""
+    none = (None, None)
+    uncertainty = {}
+    for direction, described in model.channels.items():
+        values = {
+            name: described.benchmark.named_values()[name] for name in ("gain", "damping_ratio", "opening")
+        }
+        parameters = tuple(
+            Estimate(
+                *(name, "", "1", value, 0.1, (0.9 * value, 1.1 * value), "profile", none, 0.01, 90.0),
+                *(name == "opening", True, "determined", 0.2, ((0.9 * value, 0.5), (value, 0.4))),
+            )
+            for name, value in values.items()
+        )
+        matrix = tuple(map(tuple, np.eye(3).tolist()))
+        estimates = Estimates(parameters, (), matrix, 8, 8)
+        dead_zone = Quantity("dead zone", "A", described.dead_zone, none, False)
+        points = tuple(
+            SpeedPoint(c, load, 20 * c, (19 * c, None), True) for c in (0.5, 1.0) for load in (90.0, 130.0)
+        )
+        uncertainty[direction] = Uncertainty(
+            estimates,
+            information=Information(
+                tuple(values), (1.0, 2.0, 3.0), *[matrix] * 3, (1.0, 0.5), 10, True, 8, 400.0
+            ),
+            characteristics=Characteristics(
+                *("A", "mm/s", "pressure", dead_zone, dead_zone, 1.0, dead_zone, None, points),
+                (MeasuredSpeed(0.5, 90.0, 10.0),),
+            ),
+            load_scatter=LoadScatter(0.04, (0.01, None), 0.2, (LoadOfTest("a", 0.04, (0.0, 0.1)),)),
+        )
+    provenance = Provenance(
+        {LIFTING: ("a", "b")}, {LIFTING: ("b",)}, {}, frozenset({"0f"}), settings=KEPT_SETTINGS
+    )
+    difference = DifferenceTest(3.2, ("gain",), 9.0, 0.1)
+    return replace(
+        model,
+        units={**model.units, "pressure": "bar"},
+        uncertainty=uncertainty,
+        provenance=provenance,
+        two_modes=TwoModes(True, 2.0, 1.0, 8, difference),
+    )
+
+
+CONTROLLER, ROW = "controller.toml", "row.json"
+KEPT_SETTINGS = {
+    "structure": {
+        "lifting": {"automatic": True, "load": ["pressure"]},
+        "lowering": {
+            "structure": "integrator-second-order",
+            "dead_time": True,
+            "bounds": {"gain": [1.0, 90.0]},
+        },
+    },
+    "search": {"method": "whale", "evaluations": 600, "population": 12, "stagnation": None},
+    "training": {"hidden": 8, "window": 20, "learning_rate": 0.01, "free_run": True},
+    "dead_zones": {"lifting": 0.3},
+    "drift": True,
+}
+
+
+def _controller(place: Path) -> Files:
+    """Return a controller file of a model with curves and a covariate."""
+    model = made_up_model(shape=True)
+    worst = Margins(*map(np.asarray, (7.5, 51.0, 0.21, 1.6, 0.9)))
+    margins = {direction: DirectionMargins(worst, worst, 0.07) for direction in model.channels}
+    tuning = Tuning(made_up_controller(model), "PI", {"PI": 31.0}, margins, {"pressure": 125.0}, 200)
+    save_controller(tuning, model, place / CONTROLLER, force=True)
+    return {CONTROLLER: (place / CONTROLLER).read_bytes()}
 
 
 # --- doors ------------------------------------------------------------------------------------------------
@@ -339,6 +471,82 @@ def read_rig(folder: Path, _: ReaderProcess) -> object:
 def read_model(folder: Path, _: ReaderProcess) -> object:
     """Read a model."""
     return load(folder).provenance.digest
+
+
+def look_at_model(folder: Path, _: ReaderProcess) -> object:
+    """Read a model and look at what it says, without a simulation."""
+    model = load(folder)
+    load_trace(folder)
+    repr(model)
+    repr(model.parameters)
+    model.segmentation_dead_zones(model.units)
+    repr(model.command_thresholds(model.units))
+    with suppress(HitchError):
+        settings_of_model(model.provenance.settings)
+    save(model, folder.with_name("again"), force=True)
+    return model.provenance.digest
+
+
+def use_model(folder: Path, process: ReaderProcess) -> object:
+    """Take what anybody takes of a model; an offer that it does not make is refused by name."""
+    seen = look_at_model(folder, process)
+    model = load(folder)
+    count = 3 * SAMPLES
+    time = np.arange(count)
+    signals = {"displacement": np.full(count, 100.0)}
+    for number, direction in enumerate(model.channels):
+        opened = (number * count < 2 * time) & (2 * time < (number + 1) * count) & (time % SAMPLES > 5)
+        signals[f"{direction}_command"] = np.where(opened, 0.8, 0.0)
+    units = {role: model.units[role] for role in signals}
+    for name in model.channels[next(iter(model.channels))].benchmark.covariates:
+        signals[name] = np.full(count, 110.0)
+        units[name] = model.units.get(name, "bar")
+    record = Record(name="a", step_s=model.step_s, signals=signals, units=units)
+    simulated = model.simulate(record)
+    rows = [simulated.displacement, model.predict(record, horizon=3)]
+    state = model.init_state(100.0)
+    for _step in range(3):
+        state, moved = model.step(state, [0.8] * len(model.channels), 100.0)
+        rows.append(np.asarray(moved))
+    if not all(np.all(np.abs(row) < 1e300) for row in rows):
+        raise ValueError("a displacement that is no number")
+    if model.has_bands:
+        simulated.band(0.9)
+        model.band(record, horizon=5)
+    for direction in model.channels:
+        for offer in (model.speed, model.inverse_table, model.linearise, model.to_scipy):
+            with suppress(HitchError):
+                offer(*([0.7] if offer == model.speed else []), direction=direction)
+        with suppress(HitchError):
+            step_responses(model.channels[direction], (0.8,), 1.0)
+    for rivals in model.rivals.values():
+        for fitted in rivals.baselines.values():
+            fitted.free_run(next(iter(model.channels.values())).batch([record]))
+    return seen
+
+
+def use_controller(folder: Path, _: ReaderProcess) -> object:
+    """Read a controller and let it hold, and move."""
+    controller = load_controller(folder / CONTROLLER).controller
+    state = controller.initial_state(100.0)
+    currents = []
+    for target, measured in ((100.0, 100.0), (120.0, 100.1), (120.0, math.nan)):
+        state, current = controller.step(state, target, measured)
+        currents.append(np.asarray(current))
+    if not np.all(np.isfinite(currents)):
+        raise ValueError("a current that is no number")
+    return currents
+
+
+def read_row(folder: Path, _: ReaderProcess) -> object:
+    """Read the row of a machine."""
+    return Row.from_json((folder / ROW).read_bytes(), ROW)
+
+
+def read_kept_settings(folder: Path, _: ReaderProcess) -> object:
+    """Read what a model folder says of the settings of its identification."""
+    content = json.loads((folder / "settings.json").read_bytes())
+    return settings_of_model(content if isinstance(content, dict) else {"search": content})
 
 
 class Redone(HitchError):
@@ -617,6 +825,17 @@ def _toml_changed(name: str) -> Callable[[np.random.Generator, Files], Files]:
     return change
 
 
+def _json_changed(name: str) -> Callable[[np.random.Generator, Files], Files]:
+    def change(rng: np.random.Generator, files: Files) -> Files:
+        content = _node_changed(rng, json.loads(files[name]))
+        try:
+            return {**files, name: json.dumps(content).encode()}
+        except (ValueError, RecursionError):  # what JSON does not hold
+            return files
+
+    return change
+
+
 DESCRIBED = {
     "model.json": ("weights.safetensors", "trace.json"),
     "rivals.json": ("rivals.safetensors",),
@@ -637,17 +856,47 @@ def resealed(files: Mapping[str, bytes], content: Mapping[str, Any], name: str =
 
 
 def _resealed(rng: np.random.Generator, files: Files) -> Files:
-    content = json.loads(files["model.json"])
+    """Return a model folder with something in it changed, and all its digests put right."""
     data = dict(files)
-    if rng.random() < 0.2:
-        name = ("weights.safetensors", "trace.json")[int(rng.integers(0, 2))]
-        data[name] = BYTE_CHANGES[int(rng.integers(0, len(BYTE_CHANGES)))](rng, data[name])
+    described = [name for name in DESCRIBED if name in files]
+    name = described[int(rng.random() < 0.25) % len(described)]
+    content = json.loads(files[name])
+    if rng.random() < 0.25:
+        beside = DESCRIBED[name][int(rng.integers(0, len(DESCRIBED[name])))]
+        ways = (*BYTE_CHANGES, *(_array_changed,) * 20) if beside.endswith("tensors") else BYTE_CHANGES
+        data[beside] = ways[int(rng.integers(0, len(ways)))](rng, data[beside])
     else:
         content = _node_changed(rng, content)
     try:
-        return resealed(data, content if isinstance(content, dict) else {})
+        return resealed(data, content if isinstance(content, dict) else {}, name)
     except (ValueError, RecursionError):  # what JSON does not hold
         return files
+
+
+NUMBERS = (math.nan, math.inf, -math.inf, 0.0, -1.0, 1.0, 1e-300, 1e6, 1e30, 1e308, 2.0**31)
+
+
+def _array_changed(rng: np.random.Generator, data: bytes) -> bytes:
+    """Return tensors with one of them changed: a number, the shape, the type, the name."""
+    tensors = load_tensors(data)
+    name = sorted(tensors)[int(rng.integers(0, len(tensors)))]
+    values = tensors[name].copy()
+    way = int(rng.integers(0, 8))
+    if way < 5 and values.size:
+        with np.errstate(all="ignore"):
+            number = np.asarray(NUMBERS[int(rng.integers(0, len(NUMBERS)))]).astype(values.dtype)
+        if way == 0:
+            values[...] = number
+        else:
+            values.flat[int(rng.integers(0, values.size))] = number
+        tensors[name] = values
+    elif way == 5:
+        tensors[name] = np.repeat(values[None], int(rng.choice([0, 1, 3])), axis=0)
+    elif way == 6:
+        tensors[name] = values.astype(np.int64 if values.dtype.kind == "f" else np.float64)
+    else:
+        tensors[f"{name}x"] = tensors.pop(name)
+    return save_tensors(tensors)
 
 
 # --- the run ----------------------------------------------------------------------------------------------
@@ -706,7 +955,7 @@ def tried(seed: Seed, folder: Path, process: ReaderProcess, whole: str | None = 
         whole: what tells the result of the seed; None where any result may come.
     """
     try:
-        with hang_ends():
+        with hang_ends(), np.errstate(all="ignore"):
             result = seed.door(folder, process)
     except HitchError as error:
         return Outcome(REFUSED, str(error))

@@ -15,6 +15,7 @@ import numpy as np
 import pyarrow
 import pyarrow.parquet
 import pytest
+from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
 sys.path.insert(1, str(Path(__file__).parent / "readers"))
@@ -35,9 +36,15 @@ NAMES = tuple(fuzzing.columns())
 
 
 @pytest.fixture(scope="module")
-def every(tmp_path_factory):
+def seeds(tmp_path_factory):
     """Return a seed of every kind."""
     return fuzzing.seeds(tmp_path_factory.mktemp("seeds") / "seeds")
+
+
+@pytest.fixture(scope="module")
+def every(seeds):
+    """Return those that are handed in without being compiled."""
+    return [seed for seed in seeds if not seed.costly]
 
 
 @pytest.fixture(scope="module")
@@ -102,6 +109,25 @@ def test_random_damage_is_refused_or_harmless(every, process, tmp_path, inputs):
             fuzzing.put(tmp_path / "in", fuzzing.changed(rng, seed, every))
             outcome = fuzzing.tried(seed, tmp_path / "in", process, whole.get(seed.name))
             assert outcome.verdict != "fault", (seed.name, number, outcome.said)
+
+
+USED = [
+    pytest.param("one channel", 40, id="one channel"),
+    pytest.param("curves", 60, id="curves", marks=pytest.mark.long),
+]
+
+
+@pytest.mark.parametrize(("name", "inputs"), USED)
+def test_an_edited_model_is_refused_or_of_use(seeds, process, tmp_path, name, inputs):
+    seed = next(seed for seed in seeds if seed.name == f"model {name} in use")
+    for number in range(inputs):
+        files = (
+            seed.files if number == 0 else fuzzing.changed(np.random.default_rng([24, number]), seed, seeds)
+        )
+        fuzzing.put(tmp_path / "in", files)
+        outcome = fuzzing.tried(seed, tmp_path / "in", process)
+        assert outcome.verdict != "fault", (number, outcome.said)
+        assert number or outcome.verdict == fuzzing.ACCEPTED, outcome.said
 
 
 def test_the_process_that_reads_outlives_what_it_refuses(every, process, tmp_path):
@@ -272,7 +298,7 @@ def test_any_name_of_a_log_is_read_and_told(tmp_path, name):
 @pytest.fixture
 def model(every, tmp_path):
     """Return the folder of a model."""
-    fuzzing.put(tmp_path / "model", files_of(every, "model"))
+    fuzzing.put(tmp_path / "model", files_of(every, "model whole resealed"))
     return tmp_path / "model"
 
 
@@ -312,32 +338,89 @@ def test_a_model_of_anything_but_files_is_refused(model, name, kind):
 def put_in(content, path, value):
     *way, last = path.split("/")
     for key in way:
-        content = content[key]
+        content = content[int(key) if isinstance(content, list) else key]
     content[last] = value
 
 
+FORGED = [
+    *((("step_s", value)) for value in ("0.01", None, [0.01], True, {}, 0, -1.0, 1e-300, 1e300, 10**400)),
+    *(("channels/lifting/dead_time_s", value) for value in (1e6, -1, "x", None)),
+    *(("channels/lifting/direction", value) for value in (0, 2, -3, 1.5, True, "1")),
+    *(("channels/lifting/end_stop", value) for value in ("x", [], 1e300)),
+    *(("channels/lifting/values", value) for value in ([0.0], [-1.0], [], [1.0, 2.0], ["1"], 1.0, [1e300])),
+    *(("channels/lifting/dead_zone", value) for value in (-0.1, "x", 1e300)),
+    ("channels/lifting/limits", {"lower": 2.0, "upper": 1.0, "lower_stop": True, "upper_stop": True}),
+    ("channels/lifting/another", 1),
+    ("channels/lifting", 3),
+    ("channels/lifting/compensator/hidden", 10**9),
+    ("channels/lifting/compensator/window", 10**12),
+    ("channels/lifting/speed_compensator/members", 10**9),
+    ("channels", []),
+    ("channels", {}),
+    ("channels/sideways", {}),
+    ("units", {}),
+    ("units/displacement", "furlong"),
+    ("units/displacement", "bar"),
+    ("units/lifting_command", None),
+    ("drift", "x"),
+    ("split/held_out", "x"),
+    ("settings", []),
+    ("settings/structure", {"lifting": 3}),
+    ("uncertainty", [1]),
+    ("uncertainty/lifting/bands/levels", []),
+    ("uncertainty/lifting/bands/free_run", [1.0]),
+    ("uncertainty/lifting/bands/ensemble/0/benchmark", [1.0]),
+    ("uncertainty/lifting/bands/ensemble/0/network", 7),
+    ("uncertainty/lifting/bands/predictions/horizons", [0, 10]),
+    ("another", 1),
+    ("seen", {}),
+    ("rivals", []),
+    ("rivals/lifting/paper/compensator/hidden", 2**62),
+    ("rivals/lifting/paper/values", [0.0, 5.0]),
+    ("rivals/lifting/another", 1),
+]
+
+
 @pytest.mark.parametrize(
-    ("path", "value"),
-    [
-        ("channels", []),
-        ("channels/lifting", 3),
-        ("split/held_out", "x"),
-        ("channels/lifting/compensator/hidden", 10**9),
-        ("channels/lifting/compensator/hidden", 20_000),
-        ("channels/lifting/speed_compensator/members", 10**9),
-        ("rivals/lifting/paper/compensator/hidden", 2**62),
-        ("rivals/lifting/baselines", ["oracle"]),
-        ("rivals", []),
-        ("uncertainty", [1]),
-    ],
+    ("path", "value"), FORGED, ids=[f"{path}={str(value)[:20]}" for path, value in FORGED]
 )
-def test_a_forged_description_is_refused_without_making_room_for_it(model, path, value):
+def test_a_forged_description_is_refused_by_key(model, path, value):
     files = {each.name: each.read_bytes() for each in model.iterdir()}
     name = "rivals.json" if path.startswith("rivals") else "model.json"
     content = json.loads(files[name])
     put_in(content, path, value)
     fuzzing.put(model, fuzzing.resealed(files, content, name))
-    with pytest.raises(ModelFolderError, match="cannot be parsed"):
+    with fuzzing.hang_ends(10), pytest.raises(ModelFolderError, match=path.rpartition("/")[2]) as caught:
+        load(model)
+    assert len(str(caught.value)) < 1000
+
+
+ARRAYS = {
+    "nan": ("lifting/compensator/network/cell/weight_hh", np.nan),
+    "infinite": ("lifting/speed_compensator/networks/biases", np.inf),
+    "no scale": ("lifting/speed_compensator/command_scale", 0.0),
+    "falling range": ("lifting/operating_range/command/lowest", 7.0),
+    "infinite the wrong way": ("lifting/load_filter/load_length", -np.inf),
+}
+
+
+@pytest.mark.parametrize(("name", "number"), ARRAYS.values(), ids=ARRAYS)
+def test_a_forged_array_is_refused_by_name(model, name, number):
+    files = {each.name: each.read_bytes() for each in model.iterdir()}
+    tensors = {key: values.copy() for key, values in load_tensors(files["weights.safetensors"]).items()}
+    tensors[name][...] = number
+    changed = {**files, "weights.safetensors": save_tensors(tensors)}
+    fuzzing.put(model, fuzzing.resealed(changed, json.loads(files["model.json"])))
+    with pytest.raises(ModelFolderError, match="/".join(name.split("/")[:3])):
+        load(model)
+
+
+def test_an_array_that_no_part_of_a_model_has_is_refused(model):
+    files = {each.name: each.read_bytes() for each in model.iterdir()}
+    tensors = {**load_tensors(files["weights.safetensors"]), "lifting/code": np.zeros(3)}
+    changed = {**files, "weights.safetensors": save_tensors(tensors)}
+    fuzzing.put(model, fuzzing.resealed(changed, json.loads(files["model.json"])))
+    with pytest.raises(ModelFolderError, match="lifting/code"):
         load(model)
 
 

@@ -96,8 +96,8 @@ def line(name: str, value: str | None) -> tuple[str, str]:
 
 DAMAGES = {
     "format": (line("format", None), "format"),
-    "later format": (line("format", "99"), "format 99"),
-    "no TOML": (("^format", "format ="), "not TOML"),
+    "later format": (line("format", "99"), "key 'format'.*got 99"),
+    "no TOML": (("^format", "format ="), "not valid TOML"),
     "missing gain": (line("proportional_1_per_s", None), "proportional_1_per_s"),
     "negative gain": (line("integral_1_per_s2", "-1.0"), "integral_1_per_s2"),
     "text for a number": (line("lag_s", '"long"'), "lag_s"),

@@ -27,7 +27,7 @@ PROVENANCE = Provenance(
     seen=frozenset({"0f", "1e"}),
     segmentation_dead_zones={LIFTING: 0.1},
     seed=3,
-    settings={"forms": {"lifting": {"bounds": {"gain": [1e-05, 1.0]}}}},
+    settings={"structure": {"lifting": {"bounds": {"gain": [1e-05, 1.0]}}}},
     versions={"hitchid": "0.1.0"},
 )
 

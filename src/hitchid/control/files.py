@@ -2,14 +2,14 @@
 
 import json
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import jax.numpy as jnp
 import numpy as np
+from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from hitchid._support import checks
 from hitchid._support.precision import double_precision
@@ -19,14 +19,110 @@ from hitchid.control.axis import Axis
 from hitchid.control.controller import Gains, HitchController, HoldWindow
 from hitchid.control.tuning import Tuning
 from hitchid.data.record import DIRECTIONS
-from hitchid.errors import InputError, SettingsError
+from hitchid.data.signal_map import parse_settings
 from hitchid.model import Hitch
-from hitchid.model.channel_description import describe_channel, read_channel_benchmark
+from hitchid.model.channel_description import describe_channel, read_physical_model
+from hitchid.model.schema import Described, Number, PhysicalDescription, Positive, Row, Size, StepTime
+from hitchid.structures import structure_named
 
 FORMAT = 1
 # Of a channel's description in model.json; what is None there is left out here.
 MODEL_KEYS = ("structure", "values", "dead_time_s", "shape", "scheduling", "direction", "dead_zone")
 CURVE_ROWS = 33  # of the table of speed and current, for other systems; chosen
+
+
+class Curve(Described):
+    """Speed and current in the middle of the stroke, for a look-up block of another system."""
+
+    speed_mm_per_s: Row[float]
+    current_A: Row[float]
+
+
+class MarginsContent(Described):
+    """Margins of one direction, of the worst draw and of the model; ∞ where nothing ends them."""
+
+    model_config = ConfigDict(allow_inf_nan=True)
+
+    gain_dB: float
+    phase_deg: float
+    delay_s: float
+    sensitivity: float
+    disk: float
+    nominal_gain_dB: float
+    nominal_phase_deg: float
+    nominal_delay_s: float
+    nominal_sensitivity: float
+    largest_dead_time_s: float
+    passed: bool
+
+
+class DirectionContent(Described):
+    """Gains, limits, curve, margins and model of one direction; see `HitchController`."""
+
+    proportional_1_per_s: Size
+    integral_1_per_s2: Size
+    speed_1: Size
+    acceleration_s: Size
+    acceleration_mm_per_s2: Positive
+    lag_s: Size
+    crossing_mm_per_s: Size
+    largest_current_A: Positive
+    curve: Curve
+    margins: MarginsContent
+    model: PhysicalDescription
+
+    @field_validator("model")
+    @classmethod
+    def _integrates(cls, model: PhysicalDescription) -> PhysicalDescription:
+        linear = structure_named(model.structure).linear
+        if linear is None or linear.transfer_function(model.values)[1][-1] != 0:
+            raise ValueError(f"got '{model.structure}', expected a linear structure with an integrator")
+        return model
+
+
+class HoldContent(Described):
+    """Window in which the hitch is held; see `HoldWindow`."""
+
+    inner_mm: Size
+    outer_mm: Size
+
+
+class ModelReference(Described):
+    """Folder of the model, relative to that of the file, and its digest."""
+
+    folder: str
+    digest: str
+
+
+class ControllerContent(Described):
+    """Content of a controller file."""
+
+    format: int
+    method: str
+    step_s: StepTime
+    speed_share: Annotated[float, Field(gt=0, le=1)]
+    rate_A_per_s: Positive
+    draws: Annotated[int, Field(ge=0, le=10**9)]
+    hold: HoldContent
+    model: ModelReference
+    load: dict[str, Number]
+    trials_mm_s: dict[str, Annotated[float, Field(allow_inf_nan=True)]]
+    lifting: DirectionContent
+    lowering: DirectionContent
+
+    @field_validator("format")
+    @classmethod
+    def _known(cls, found: int) -> int:
+        if found != FORMAT:
+            raise ValueError(f"expected {FORMAT}; tune again")
+        return found
+
+    @model_validator(mode="after")
+    def _short_delays(self) -> "ControllerContent":
+        for direction in DIRECTIONS:
+            row: DirectionContent = getattr(self, direction)
+            row.model.check_delay(self.step_s)
+        return self
 
 
 @short_repr
@@ -76,23 +172,34 @@ def load_controller(path: str | Path) -> ControllerFile:
     Raises:
         SettingsError: the file is missing, no TOML, of another format, or a number is missing or wrong.
     """
-    place = checks.path(path, "path")
-    try:
-        content = tomllib.loads(place.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SettingsError(
-            f"{place}: cannot be read: {error.strerror}; expected a controller file"
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SettingsError(f"{place}: is not TOML: {error}") from error
-    if content.get("format") != FORMAT:
-        raise SettingsError(f"{place}: has format {content.get('format')!r}, expected {FORMAT}; tune again")
-    try:
-        return _read(content)
-    except KeyError as error:
-        raise SettingsError(f"{place}: lacks {error}; tune again") from error
-    except (AttributeError, IndexError, TypeError, ValueError, ZeroDivisionError, InputError) as error:
-        raise SettingsError(f"{place}: cannot be used: {error}; tune again") from error
+    content = parse_settings(checks.path(path, "path"), ControllerContent)
+    rows = [content.lifting, content.lowering]
+    axes = [
+        Axis.of(
+            read_physical_model(row.model),
+            sign=row.model.direction,
+            dead_zone=row.model.dead_zone,
+            step_s=content.step_s,
+            largest_a=row.largest_current_A,
+        ).at_load(content.load)
+        for row in rows
+    ]
+    controller = HitchController(
+        axes=(axes[0], axes[1]),
+        gains=(_gains(rows[0]), _gains(rows[1])),
+        acceleration=jnp.asarray([row.acceleration_mm_per_s2 for row in rows]),
+        speed_share=jnp.asarray(content.speed_share),
+        lags_s=jnp.asarray([row.lag_s for row in rows]),
+        crossing_mm_s=jnp.asarray([row.crossing_mm_per_s for row in rows]),
+        hold=HoldWindow(content.hold.inner_mm, content.hold.outer_mm),
+        rate_a_s=jnp.asarray(content.rate_A_per_s),
+    )
+    margins = {direction: row.margins.model_dump() for direction, row in zip(DIRECTIONS, rows, strict=True)}
+    return ControllerFile(controller, content.model.folder, content.model.digest, content.load, margins)
+
+
+def _gains(row: DirectionContent) -> Gains:
+    return Gains(row.proportional_1_per_s, row.integral_1_per_s2, row.speed_1, row.acceleration_s)
 
 
 def _content(tuning: Tuning, model: Hitch, model_folder: str) -> dict[str, Any]:
@@ -148,51 +255,6 @@ def _curve(axis: Axis) -> dict[str, list[float]]:
     speeds = np.linspace(0.0, float(axis.fastest(place)), CURVE_ROWS)
     currents = [float(axis.current_for(jnp.asarray(speed), place)) for speed in speeds]
     return {"speed_mm_per_s": [float(f"{speed:.6g}") for speed in speeds], "current_A": currents}
-
-
-def _read(content: dict[str, Any]) -> ControllerFile:
-    rows = [content[direction] for direction in DIRECTIONS]
-    step_s = _number(content, "step_s")
-    if step_s == 0:
-        raise ValueError("step_s: got 0, expected more than 0")
-    load = {name: float(value) for name, value in content["load"].items()}
-    axes = []
-    for row in rows:
-        described = {name: row["model"].get(name) for name in MODEL_KEYS}
-        benchmark = read_channel_benchmark(described)
-        axis = Axis.of(
-            benchmark,
-            sign=int(described["direction"]),
-            dead_zone=float(described["dead_zone"]),
-            step_s=step_s,
-            largest_a=_number(row, "largest_current_A"),
-        )
-        axes.append(axis.at_load(load))
-    column = lambda name: jnp.asarray([_number(row, name) for row in rows])  # noqa: E731
-    controller = HitchController(
-        axes=(axes[0], axes[1]),
-        gains=(_gains(rows[0]), _gains(rows[1])),
-        acceleration=column("acceleration_mm_per_s2"),
-        speed_share=jnp.asarray(_number(content, "speed_share")),
-        lags_s=column("lag_s"),
-        crossing_mm_s=column("crossing_mm_per_s"),
-        hold=HoldWindow(_number(content["hold"], "inner_mm"), _number(content["hold"], "outer_mm")),
-        rate_a_s=jnp.asarray(_number(content, "rate_A_per_s")),
-    )
-    margins = {direction: dict(row["margins"]) for direction, row in zip(DIRECTIONS, rows, strict=True)}
-    return ControllerFile(controller, content["model"]["folder"], content["model"]["digest"], load, margins)
-
-
-def _gains(row: Mapping[str, Any]) -> Gains:
-    names = ("proportional_1_per_s", "integral_1_per_s2", "speed_1", "acceleration_s")
-    return Gains(*(_number(row, name) for name in names))
-
-
-def _number(table: Mapping[str, Any], name: str) -> float:
-    value = table[name]
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value) or value < 0:
-        raise ValueError(f"{name}: got {value!r}, expected a finite number of at least zero")
-    return float(value)
 
 
 def _lines(table: Mapping[str, Any], prefix: str = "") -> list[str]:

@@ -12,10 +12,12 @@ EXPECTED: Mapping[str, str] = MappingProxyType(
     {
         "bool_parsing": "true or false",
         "bool_type": "true or false",
+        "dataclass_type": "a table",
         "dict_type": "a table",
         "finite_number": "a finite number",
         "float_parsing": "a number",
         "float_type": "a number",
+        "frozen_set_type": "a list",
         "greater_than": "a number above {gt:g}",
         "greater_than_equal": "at least {ge:g}",
         "int_from_float": "a whole number",
@@ -25,8 +27,11 @@ EXPECTED: Mapping[str, str] = MappingProxyType(
         "less_than": "a number below {lt:g}",
         "less_than_equal": "at most {le:g}",
         "list_type": "a list",
+        "json_invalid": "JSON of at most 200 levels",
         "literal_error": "{expected}",
+        "mapping_type": "a table",
         "missing": "a value",
+        "missing_argument": "a value",
         "model_attributes_type": "a table",
         "model_type": "a table",
         "string_type": "text in quotes",
@@ -50,13 +55,17 @@ def describe(error: ValidationError, model: type[BaseModel] | None = None) -> st
     first = error.errors()[0]
     kind, location = first["type"], first["loc"]
     key = _truncated(".".join(map(str, location)) or "settings")
-    if kind == "extra_forbidden":
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         return f"key '{key}' is not known{_suggestion(str(location[-1]), location[:-1], model)}"
     value, context = first.get("input"), first.get("ctx", {})
     if kind == "value_error":  # the sentence of a validator of this package, which may name the value itself
+        if not location:  # of the whole file: the sentence names the key
+            return str(context["error"])
         return f"key '{key}': {context['error']}{_received(value) if _is_scalar(value) else ''}"
     expected = EXPECTED.get(kind, "another value").format_map(context)
-    return f"key '{key}': expected {expected}{', got none' if kind == 'missing' else _received(value)}"
+    return (
+        f"key '{key}': expected {expected}{', got none' if kind.startswith('missing') else _received(value)}"
+    )
 
 
 def _suggestion(name: str, location: tuple[int | str, ...], model: type[BaseModel] | None) -> str:
@@ -91,7 +100,7 @@ def _is_scalar(value: object) -> bool:
 
 
 def _received(value: object) -> str:
-    if _is_scalar(value):
+    if _is_scalar(value) or value is None:
         return f", got {_printed(value)}"
     return ", got a table" if isinstance(value, Mapping) else ", got a list"
 
@@ -103,6 +112,8 @@ def _truncated(text: str) -> str:
 def _printed(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"  # as in TOML
+    if value is None:
+        return "null"  # as in JSON; TOML has none
     # Python prints no integer above 4300 digits; TOML allows longer ones in hexadecimal.
     if isinstance(value, int) and abs(value) >= MAX_PRINTED:
         return "a huge number"

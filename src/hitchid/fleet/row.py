@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cache
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, ClassVar, Literal, TypeVar
 
 from hitchid._support.storage import canonical_json
 from hitchid.errors import InputError
@@ -106,6 +106,9 @@ class TaskRow:
         cost: what the task took; that of the first run where a later one found the same logs.
         directions: direction to its figures, a record of numbers and texts.
     """
+
+    # A file of another's making: no other keys, no text for a number, none that is not finite.
+    __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True, "allow_inf_nan": False}
 
     machine: str
     key: str

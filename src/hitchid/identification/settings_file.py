@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypedDict
 
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from hitchid.data.record import DIRECTIONS
 from hitchid.data.settings_errors import describe
@@ -20,6 +20,7 @@ from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.rivals import RivalsConfig
 from hitchid.identification.selection import AutoStructure
 from hitchid.identification.speed_training import SpeedCompensatorConfig
+from hitchid.model.schema import KeptSettings
 from hitchid.structures import CovariateEffects, ModelSpec, structure_named
 
 AUTOMATIC = "automatic"
@@ -177,16 +178,6 @@ def read_settings(path: Path) -> Settings:
         raise SettingsError(f"{path}: {error}") from error
 
 
-class KeptSettings(BaseModel):
-    """What a model folder says of the settings of its identification; a folder may come from a stranger."""
-
-    structure: dict[str, dict[str, Any]] = Field(default_factory=dict)
-    search: dict[str, Any] = Field(default_factory=dict)
-    training: dict[str, Any] = Field(default_factory=dict)
-    dead_zones: dict[str, float] = Field(default_factory=dict)
-    drift: bool = False
-
-
 def settings_of_model(described: Mapping[str, Any]) -> Settings:
     """Return the settings of an identification from what its model says of them; defaults where it is silent.
 
@@ -203,7 +194,7 @@ def settings_of_model(described: Mapping[str, Any]) -> Settings:
         return {key: value for key, value in values.items() if key in section.model_fields}
 
     try:
-        kept = KeptSettings.model_validate(dict(described))
+        kept = KeptSettings.model_validate(described)
         content: dict[str, Any] = {
             direction: {**by_key(ChannelSection, values), "dead_zone": kept.dead_zones.get(direction)}
             for direction, values in kept.structure.items()
@@ -214,6 +205,8 @@ def settings_of_model(described: Mapping[str, Any]) -> Settings:
         return IdentifyFile.model_validate(content).settings()
     except ValidationError as error:
         raise SettingsError(f"the settings of the model: {describe(error)}") from error
+    except InputError as error:
+        raise SettingsError(f"the settings of the model: {error}") from error
 
 
 def stamp_of(settings: Settings) -> dict[str, object]:

@@ -5,29 +5,42 @@ the model as it is, bit for bit.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
+from pydantic import TypeAdapter
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
 from hitchid._support import checks
 from hitchid._support.precision import double_precision
 from hitchid._support.storage import canonical_json, digest, inside_folder, write_folder
+from hitchid._support.summary import shortened
 from hitchid.errors import InputError, ModelFolderError
-from hitchid.model.description import KIND, SCHEMA, deployed_tensors, describe, read_hitch
+from hitchid.model.description import deployed_tensors, describe, read_hitch
 from hitchid.model.hitch import Hitch
 from hitchid.model.rivals import Rivals
 from hitchid.model.rivals_description import describe_rivals, read_rivals, rivals_tensors
+from hitchid.model.schema import (
+    SCHEMA,
+    AnySealed,
+    ModelDescription,
+    RivalsDescription,
+    Sealed,
+    parse,
+)
+from hitchid.model.tensors import check_known
 
 MODEL_FILE = "model.json"
 WEIGHTS_FILE = "weights.safetensors"
 TRACE_FILE = "trace.json"
 RIVALS_FILE = "rivals.json"
 RIVALS_WEIGHTS_FILE = "rivals.safetensors"
-RIVALS_KIND = "rivals of a hitchid model"
+MAX_BYTES = 2**28  # of one file; chosen: a hundred times the largest model seen
 
 
 def save(
@@ -56,7 +69,7 @@ def save(
         weights = {RIVALS_WEIGHTS_FILE: save_tensors(rivals_tensors(hitch.rivals))}
         described = {
             "schema": SCHEMA,
-            "kind": RIVALS_KIND,
+            "kind": RivalsDescription.KIND,
             "model": content["digest"],
             "rivals": describe_rivals(hitch.rivals),
         }
@@ -78,32 +91,33 @@ def load(folder: str | Path) -> Hitch:
         InputError: `folder` is not a path.
     """
     path = checks.path(folder, "folder")
-    content = _read_description(path / MODEL_FILE, KIND, "a model folder")
-    weights = _read_checked(path / WEIGHTS_FILE, content)
-    _read_checked(path / TRACE_FILE, content)
-    try:
-        hitch = read_hitch(content, load_tensors(weights))
-        written = datetime.fromtimestamp((path / MODEL_FILE).stat().st_mtime, UTC)
-    except Exception as error:  # an edited description may come with a recomputed digest
-        raise ModelFolderError(f"{path}: cannot be parsed: {error!r}") from error
+    described = _read_description(path / MODEL_FILE, ModelDescription, "a model folder")
+    weights = _read_checked(path / WEIGHTS_FILE, described)
+    _read_checked(path / TRACE_FILE, described)
+    with _refused(path / WEIGHTS_FILE):
+        tensors = load_tensors(weights)
+        hitch = read_hitch(described, tensors)
+        check_known(tensors, deployed_tensors(hitch))
+    written = datetime.fromtimestamp((path / MODEL_FILE).stat().st_mtime, UTC)
     provenance = replace(hitch.provenance, name=path.resolve().name, date=f"{written:%Y-%m-%d}")
-    return replace(hitch, provenance=provenance, rivals=_load_rivals(path, content["digest"]))
+    return replace(hitch, provenance=provenance, rivals=_load_rivals(path, described.digest))
 
 
 def _load_rivals(folder: Path, model_digest: str) -> dict[str, Rivals]:
     """Return the rivals stored beside a model; none where it has none."""
     if not (folder / RIVALS_FILE).exists():
         return {}
-    content = _read_description(folder / RIVALS_FILE, RIVALS_KIND, "rivals")
-    if content.get("model") != model_digest:
+    described = _read_description(folder / RIVALS_FILE, RivalsDescription, "rivals")
+    if described.model != model_digest:
         raise ModelFolderError(
             f"{folder / RIVALS_FILE}: belongs to another model; remove it, and train the rivals again"
         )
-    weights = _read_checked(folder / RIVALS_WEIGHTS_FILE, content)
-    try:
-        return read_rivals(content["rivals"], load_tensors(weights))
-    except Exception as error:  # as in `load`
-        raise ModelFolderError(f"{folder / RIVALS_FILE}: cannot be parsed: {error!r}") from error
+    weights = _read_checked(folder / RIVALS_WEIGHTS_FILE, described)
+    with _refused(folder / RIVALS_FILE):
+        tensors = load_tensors(weights)
+        rivals = read_rivals(described.rivals, tensors)
+        check_known(tensors, rivals_tensors(rivals))
+    return rivals
 
 
 def is_model_folder(path: Path) -> bool:
@@ -121,12 +135,11 @@ def load_trace(folder: str | Path) -> dict:
         ModelFolderError, InputError: as `load`.
     """
     path = checks.path(folder, "folder")
-    content = _read_description(path / MODEL_FILE, KIND, "a model folder")
-    data = _read_checked(path / TRACE_FILE, content)
-    try:
-        return json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise ModelFolderError(f"{path / TRACE_FILE}: cannot be parsed: {error!r}") from error
+    data = _read_checked(
+        path / TRACE_FILE, _read_description(path / MODEL_FILE, ModelDescription, "a model folder")
+    )
+    with _refused(path / TRACE_FILE):
+        return TypeAdapter(dict[str, dict[str, Any]]).validate_json(data, strict=True)
 
 
 def _sealed(content: Mapping[str, object], files: Mapping[str, bytes]) -> dict[str, object]:
@@ -135,12 +148,12 @@ def _sealed(content: Mapping[str, object], files: Mapping[str, bytes]) -> dict[s
     return {**listed, "digest": digest(canonical_json(listed))}
 
 
-def _read_description(path: Path, kind: str, required: str) -> dict:
+def _read_description(path: Path, kind: type[AnySealed], required: str) -> AnySealed:
     """Return a description whose digest and schema are right.
 
     Args:
         path: its file.
-        kind: what the description must say that it is.
+        kind: its schema.
         required: what is expected, for the error of a missing file.
     """
     data = _read(path, required)
@@ -149,26 +162,29 @@ def _read_description(path: Path, kind: str, required: str) -> dict:
         canonical = canonical_json(content)
     except (ValueError, RecursionError) as error:
         raise ModelFolderError(f"{path}: is truncated or was edited: {type(error).__name__}") from error
-    if not isinstance(content, dict) or content.get("kind") != kind:
-        raise ModelFolderError(f"{path}: is not the description of {kind}")
+    if not isinstance(content, dict) or content.get("kind") != kind.KIND:
+        raise ModelFolderError(f"{path}: is not the description of {kind.KIND}")
     schema = content.get("schema")
     if type(schema) is not int or schema != SCHEMA:
+        shown = shortened(repr(schema), checks.MAX_SHOWN)
         raise ModelFolderError(
-            f"{path}: schema {schema!r}, expected {SCHEMA}: it is from another version of hitchid; "
+            f"{path}: schema {shown}, expected {SCHEMA}: it is from another version of hitchid; "
             "identify again"
         )
     claimed = content.pop("digest", "")
     if canonical != data or claimed != digest(canonical_json(content)):
         raise ModelFolderError(f"{path}: was edited: its digest does not match; identify again")
-    if not isinstance(content.get("files"), dict):
-        raise ModelFolderError(f"{path}: cannot be parsed: it lists no files; identify again")
-    return {**content, "digest": claimed}
+    return parse(kind, data, path)
 
 
 def _read(path: Path, required: str) -> bytes:
     try:
         if inside_folder(path).exists() and not path.is_file():  # reading a pipe would block
             raise ModelFolderError(f"{path}: cannot be read: it is not a file; expected {required}")
+        if path.exists() and path.stat().st_size > MAX_BYTES:
+            raise ModelFolderError(
+                f"{path}: has {path.stat().st_size / 2**20:.0f} MiB, expected at most {MAX_BYTES >> 20}"
+            )
         return path.read_bytes()
     except OSError as error:
         raise ModelFolderError(f"{path}: cannot be read: {error.strerror}; expected {required}") from error
@@ -178,12 +194,27 @@ def _read(path: Path, required: str) -> bytes:
         raise ModelFolderError(str(error)) from error
 
 
-def _read_checked(path: Path, content: dict) -> bytes:
+def _read_checked(path: Path, described: Sealed) -> bytes:
     data = _read(path, "a model folder with model.json")
-    claimed = content["files"].get(path.name)
+    claimed = described.files.get(path.name)
     if digest(data) != claimed:
         raise ModelFolderError(
             f"{path}: is truncated or was edited: its SHA-256 is {digest(data)[:12]}…, "
             f"expected {str(claimed)[:12]}…"
         )
     return data
+
+
+@contextmanager
+def _refused(path: Path) -> Iterator[None]:
+    """Refuse a file by whatever error its content causes: a baseline may be of another package.
+
+    Raises:
+        ModelFolderError: instead of the error.
+    """
+    try:
+        yield
+    except (InputError, ValueError) as error:
+        raise ModelFolderError(f"{path}: cannot be parsed: {error}") from error
+    except Exception as error:
+        raise ModelFolderError(f"{path}: cannot be parsed: {error!r}") from error

@@ -1,32 +1,32 @@
 """Conversion between a channel and JSON and tensors."""
 
 from dataclasses import replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from hitchid.model.channel import Channel
-from hitchid.model.limits import TravelLimits
 from hitchid.model.load_filter import LoadFilter
+from hitchid.model.schema import (
+    ChannelDescription,
+    CompensatorSizes,
+    PhysicalDescription,
+    SpeedCompensatorSizes,
+)
 from hitchid.model.tensors import Tensors, check_size, fill, tensors_of
 from hitchid.networks.error_compensator import FEATURES, Compensator
 from hitchid.networks.lstm import Lstm
 from hitchid.networks.operating_range import OperatingRange, SignalRange
 from hitchid.networks.speed_compensator import SIGNALS, SpeedCompensator, SpeedNetworks
 from hitchid.structures import (
-    NONLINEARITY_PARAMETERS,
     CovariateScales,
     PhysicalModel,
     Scales,
     Scheduling,
     StaticNonlinearity,
-    Structure,
-    scheduled_quantities,
     structure_named,
 )
-from hitchid.structures.scheduling import POWERS
 
 _SCALES = ("command", "centre", "span")
 _TRAINED = ("compensator", "speed_compensator", "operating_range", "load_filter")
@@ -74,61 +74,99 @@ def describe_channel(channel: Channel) -> dict[str, object]:
     }
 
 
-def read_channel(direction: str, described: dict[str, Any], tensors: Tensors, prefix: str) -> Channel:
+def read_channel(direction: str, described: ChannelDescription, tensors: Tensors, prefix: str) -> Channel:
     """Return a channel from its description and the tensors of a prefix.
 
     Raises:
-        ValueError, KeyError, TypeError: the description or the tensors are not those of a channel.
-        InputError: its structure is not installed.
+        ValueError: the tensors are not those of the channel.
     """
-    sign, limits = int(described["direction"]), described["limits"]
-    loads = len((described["scheduling"] or {"covariates": [""]})["covariates"])
-    return Channel(
+    loads = len(described.covariates) or 1
+    channel = Channel(
         direction=direction,
-        sign=sign,
-        dead_zone=float(described["dead_zone"]),
-        end_stop=described["end_stop"],
-        benchmark=read_channel_benchmark(described),
+        sign=described.direction,
+        dead_zone=described.dead_zone,
+        end_stop=described.end_stop,
+        benchmark=read_physical_model(described),
         operating_range=fill(_empty_range(loads), tensors, f"{prefix}/operating_range"),
-        compensator=_read_compensator(described["compensator"], tensors, f"{prefix}/compensator"),
+        compensator=_read_compensator(described.compensator, tensors, f"{prefix}/compensator"),
         speed_compensator=_read_speed_compensator(
-            described["speed_compensator"], sign, loads, tensors, f"{prefix}/speed_compensator"
+            described.speed_compensator, described.direction, loads, tensors, f"{prefix}/speed_compensator"
         ),
-        limits=None if limits is None else TravelLimits(**limits),
+        limits=described.limits,
         load_filter=fill(LoadFilter.none(), tensors, f"{prefix}/load_filter"),
     )
+    _check_trained(channel, prefix)
+    return channel
 
 
-def read_channel_benchmark(described: dict[str, Any]) -> PhysicalModel:
-    """Return the physical model of a channel from its description; raises as `read_channel`."""
-    structure = structure_named(described["structure"])
-    if len(described["values"]) != len(structure.parameters):
-        raise ValueError(f"{structure.name} has {len(structure.parameters)} parameters")
-    return PhysicalModel(
-        structure,
-        jnp.asarray(described["values"]),
-        jnp.asarray(float(described["dead_time_s"])),
-        *_read_curves(described["shape"], described["scheduling"], structure),
+def _check_trained(channel: Channel, prefix: str) -> None:
+    """Check that ranges rise, and that scales, which are divided by, and scatters are positive.
+
+    Raises:
+        ValueError: they do not, or are not.
+    """
+    compensator, speed, load_filter = channel.compensator, channel.speed_compensator, channel.load_filter
+    lengths, scatters = (
+        ("load_length", "transient_time"),
+        ("noise", "load_scatter", "transient_scatter", "drift"),
     )
+    ranges = {"operating_range": channel.operating_range}
+    positive = {f"load_filter/{name}": getattr(load_filter, name) for name in lengths}
+    if compensator is not None:
+        positive["compensator/spread"] = compensator.spread
+    if speed is not None:
+        scales = ("command_scale", "speed_scale", "acceleration_scale")
+        positive |= {f"speed_compensator/{name}": getattr(speed, name) for name in scales}
+        ranges["speed_compensator/operating_range"] = speed.operating_range
+    for name, scale in positive.items():
+        if np.min(scale) <= 0:
+            raise ValueError(f"{prefix}/{name}: got {np.min(scale):g}, expected more than 0")
+    for name in scatters:
+        if (scatter := float(getattr(load_filter, name))) < 0:
+            raise ValueError(f"{prefix}/load_filter/{name}: got {scatter:g}, expected at least 0")
+    for name, operating_range in ranges.items():
+        for signal in ("command", "displacement", "load"):
+            ends: SignalRange = getattr(operating_range, signal)
+            if np.any(np.asarray(ends.lowest) > np.asarray(ends.highest)):
+                raise ValueError(f"{prefix}/{name}/{signal}: got the highest below the lowest")
 
 
-def _read_compensator(described: dict[str, Any] | None, tensors: Tensors, prefix: str) -> Compensator | None:
+def read_physical_model(described: PhysicalDescription) -> PhysicalModel:
+    """Return the physical model of a channel from its description."""
+    structure, values = structure_named(described.structure), jnp.asarray(described.values)
+    dead_time_s = jnp.asarray(described.dead_time_s)
+    if described.shape is None:
+        return PhysicalModel(structure, values, dead_time_s)
+    command, centre, span = (jnp.asarray(getattr(described.shape.scales, name)) for name in _SCALES)
+    scales, curves = Scales(command, centre, span), jnp.asarray(described.shape.values)
+    scheduled = described.scheduling
+    if scheduled is None:
+        return PhysicalModel(structure, values, dead_time_s, StaticNonlinearity(curves, scales))
+    covariates = CovariateScales(jnp.asarray(scheduled.centre), jnp.asarray(scheduled.spread))
+    nonlinearity = StaticNonlinearity(curves, replace(scales, covariates=covariates))
+    scheduling = Scheduling(scheduled.covariates, scheduled.quantities, jnp.asarray(scheduled.effects))
+    return PhysicalModel(structure, values, dead_time_s, nonlinearity, scheduling)
+
+
+def _read_compensator(
+    described: CompensatorSizes | None, tensors: Tensors, prefix: str
+) -> Compensator | None:
     if described is None:
         return None
-    if described["features"] != list(FEATURES):
-        raise ValueError("the compensator's features are not those of this version")
-    check_size(tensors, described["hidden"] ** 2)
-    sizes = (int(described[name]) for name in ("hidden", "window", "max_horizon"))
-    return fill(_empty_compensator(*sizes), tensors, prefix)
+    check_size(tensors, described.hidden**2)
+    return fill(
+        _empty_compensator(described.hidden, described.window, described.max_horizon), tensors, prefix
+    )
 
 
 def _read_speed_compensator(
-    described: dict[str, Any] | None, sign: int, loads: int, tensors: Tensors, prefix: str
+    described: SpeedCompensatorSizes | None, sign: int, loads: int, tensors: Tensors, prefix: str
 ) -> SpeedCompensator | None:
     if described is None:
         return None
-    check_size(tensors, described["members"] * described["units"])
-    return fill(_empty_speed_compensator(sign=sign, loads=loads, **described), tensors, prefix)
+    check_size(tensors, described.members * described.units)
+    skeleton = _empty_speed_compensator(described.members, described.units, sign=sign, loads=loads)
+    return fill(skeleton, tensors, prefix)
 
 
 def _describe_scheduling(benchmark: PhysicalModel) -> dict[str, object] | None:
@@ -145,29 +183,6 @@ def _describe_scheduling(benchmark: PhysicalModel) -> dict[str, object] | None:
     }
 
 
-def _read_curves(
-    described: dict[str, Any] | None, scheduled: dict[str, Any] | None, structure: Structure
-) -> tuple[StaticNonlinearity | None, Scheduling | None]:
-    if described is None:
-        return None, None
-    if len(described["values"]) != len(NONLINEARITY_PARAMETERS):
-        raise ValueError(f"the curves have {len(NONLINEARITY_PARAMETERS)} parameters")
-    command, centre, span = (jnp.asarray(float(described["scales"][name])) for name in _SCALES)
-    scales = Scales(command, centre, span)
-    values = jnp.asarray(described["values"])
-    if scheduled is None:
-        return StaticNonlinearity(values, scales), None
-    covariates, quantities = tuple(scheduled["covariates"]), tuple(scheduled["quantities"])
-    rows = {name: jnp.asarray(scheduled[name], dtype=float) for name in ("centre", "spread", "effects")}
-    count = len(covariates)
-    if quantities != scheduled_quantities(structure.require_linear()):
-        raise ValueError("the parameters that covariates change are not those of the structure")
-    if [row.shape for row in rows.values()] != [(count,), (count,), (len(quantities), count, len(POWERS))]:
-        raise ValueError("the effects are not those of the covariates")
-    scales = replace(scales, covariates=CovariateScales(rows["centre"], rows["spread"]))
-    return StaticNonlinearity(values, scales), Scheduling(covariates, quantities, rows["effects"])
-
-
 def _empty_compensator(hidden: int, window: int, max_horizon: int) -> Compensator:
     count = len(FEATURES)
     return Compensator(
@@ -182,11 +197,11 @@ def _empty_compensator(hidden: int, window: int, max_horizon: int) -> Compensato
 
 def _empty_range(loads: int) -> OperatingRange:
     """Return a range to be filled, of so many covariates."""
-    empty = SignalRange(jnp.zeros(loads), jnp.zeros(loads))
-    return replace(OperatingRange.unbounded(), load=empty)
+    unbounded = SignalRange(jnp.full(loads, -jnp.inf), jnp.full(loads, jnp.inf))
+    return replace(OperatingRange.unbounded(), load=unbounded)
 
 
-def _empty_speed_compensator(*, members: int, units: int, sign: int, loads: int) -> SpeedCompensator:
+def _empty_speed_compensator(members: int, units: int, *, sign: int, loads: int) -> SpeedCompensator:
     networks = SpeedNetworks(
         jnp.zeros((members, units, SIGNALS + loads)), jnp.zeros((members, units)), jnp.zeros((members, units))
     )

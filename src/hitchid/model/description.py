@@ -1,22 +1,16 @@
 """Conversion between a model and JSON and tensors."""
 
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter
 
 from hitchid.model.channel_description import channel_tensors, describe_channel, read_channel
 from hitchid.model.hitch import Hitch
-from hitchid.model.provenance import Provenance, TwoModes
+from hitchid.model.provenance import Provenance
+from hitchid.model.schema import SCHEMA, ModelDescription
 from hitchid.model.tensors import Tensors
-from hitchid.model.uncertainty import Uncertainty
 
-KIND = "hitchid model"
-SCHEMA = 13  # version of the layout of a model folder
 SUBSETS = ("identification", "validation", "held_out")
-_UNCERTAINTY = TypeAdapter(Uncertainty)
-_TWO_MODES = TypeAdapter(TwoModes | None)
 
 
 def describe(hitch: Hitch) -> dict[str, object]:
@@ -24,7 +18,7 @@ def describe(hitch: Hitch) -> dict[str, object]:
     provenance = hitch.provenance
     return {
         "schema": SCHEMA,
-        "kind": KIND,
+        "kind": ModelDescription.KIND,
         "step_s": hitch.step_s,
         "units": dict(hitch.units),
         "drift": hitch.drift,
@@ -59,42 +53,32 @@ def deployed_tensors(hitch: Hitch) -> dict[str, np.ndarray]:
     return {name: array for component in parts for name, array in component.items()}
 
 
-def read_hitch(content: dict[str, Any], tensors: Tensors) -> Hitch:
+def read_hitch(described: ModelDescription, tensors: Tensors) -> Hitch:
     """Return the model of a description and its tensors.
 
     Raises:
-        ValueError, KeyError, TypeError: the description or the tensors are not those of a model.
-        InputError: a structure or a baseline of the model is not installed.
+        ValueError: the tensors are not those of the model.
     """
-    identification, validation, held_out = (
-        {direction: tuple(names) for direction, names in content["split"][subset].items()}
-        for subset in SUBSETS
-    )
     provenance = Provenance(
-        identification=identification,
-        validation=validation,
-        held_out=held_out,
-        seen=frozenset(content["seen"]),
-        segmentation_dead_zones=content["cut_at"],
-        seed=content["seed"],
-        settings=content["settings"],
-        versions=content["versions"],
-        set_by_hand=content["set_by_hand"],
-        adapted=content.get("adapted", {}),
-        digest=content["digest"],
+        **{subset: getattr(described.split, subset) for subset in SUBSETS},
+        seen=described.seen,
+        segmentation_dead_zones=described.cut_at,
+        seed=described.seed,
+        settings=described.settings.model_dump(exclude_unset=True),
+        versions=described.versions,
+        set_by_hand=described.set_by_hand,
+        adapted=described.adapted,
+        digest=described.digest,
     )
     return Hitch(
         {
-            direction: read_channel(direction, described, tensors, direction)
-            for direction, described in content["channels"].items()
+            direction: read_channel(direction, channel, tensors, direction)
+            for direction, channel in described.channels.items()
         },
-        content["step_s"],
-        content["units"],
+        described.step_s,
+        described.units,
         provenance,
-        content["drift"],
-        _TWO_MODES.validate_python(content["two_modes"]),
-        {
-            direction: _UNCERTAINTY.validate_python(described)
-            for direction, described in content["uncertainty"].items()
-        },
+        described.drift,
+        described.two_modes,
+        described.uncertainty,
     )

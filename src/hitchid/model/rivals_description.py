@@ -2,18 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter
 
 from hitchid.model.channel_description import channel_tensors, describe_channel, read_channel
-from hitchid.model.estimates import Estimates
-from hitchid.model.rivals import Rivals, SearchSummary
+from hitchid.model.rivals import Rivals
+from hitchid.model.schema import RivalsOfDirection
 from hitchid.model.tensors import Tensors, fill, shapes_of, tensors_of
-
-_ESTIMATES = TypeAdapter(Estimates | None)
-_SEARCHES = TypeAdapter(tuple[SearchSummary, ...])
 
 
 def describe_rivals(rivals: Mapping[str, Rivals]) -> dict[str, object]:
@@ -32,14 +27,14 @@ def rivals_tensors(rivals: Mapping[str, Rivals]) -> dict[str, np.ndarray]:
     return tensors
 
 
-def read_rivals(content: Mapping[str, Any], tensors: Tensors) -> dict[str, Rivals]:
+def read_rivals(described: Mapping[str, RivalsOfDirection], tensors: Tensors) -> dict[str, Rivals]:
     """Return the rivals of each direction from their description and tensors.
 
     Raises:
-        ValueError, KeyError, TypeError: the description or the tensors are not those of rivals.
-        InputError: a structure or a baseline is not installed.
+        ValueError: the tensors are not those of rivals.
+        InputError: a baseline is not installed.
     """
-    return {direction: _read(direction, described, tensors) for direction, described in content.items()}
+    return {direction: _read(direction, rivals, tensors) for direction, rivals in described.items()}
 
 
 def _describe(rivals: Rivals) -> dict[str, object]:
@@ -55,22 +50,22 @@ def _describe(rivals: Rivals) -> dict[str, object]:
     }
 
 
-def _read(direction: str, described: Mapping[str, Any], tensors: Tensors) -> Rivals:
+def _read(direction: str, described: RivalsOfDirection, tensors: Tensors) -> Rivals:
     # Imported here: baselines import global searches and optimisers, which a deployed model does not need.
     from hitchid.baselines.registry import baseline_named
 
     baselines = {}
-    for name in described["baselines"]:
+    for name in described.baselines:
         prefix = f"{direction}/baselines/{name}"
         skeleton = baseline_named(name).skeleton(shapes_of(tensors, prefix))
         baselines[name] = fill(skeleton, tensors, prefix)
-    paper = described["paper"]
+    paper = described.paper
     return Rivals(
         baselines,
         None if paper is None else read_channel(direction, paper, tensors, f"{direction}/paper"),
-        _ESTIMATES.validate_python(described["paper_parameters"]),
-        _SEARCHES.validate_python(described["searches"]),
-        tuple(described["covariates"]),
-        tuple(described["notices"]),
-        bool(described["trained"]),
+        described.paper_parameters,
+        described.searches,
+        described.covariates,
+        described.notices,
+        described.trained,
     )
