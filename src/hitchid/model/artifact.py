@@ -87,8 +87,8 @@ def load(folder: str | Path) -> Hitch:
     """Read a model folder; digests, keys, types and bounds are checked, as it may come from a stranger.
 
     Raises:
-        ModelFolderError: the folder or a file is missing, was cut short or edited, has an unknown schema, or a
-            key, a value or an array that no identification writes.
+        ModelFolderError: the folder or a file is missing, was cut short or edited, has an unknown schema, or
+            a key, a value or an array that no identification writes.
         InputError: `folder` is not a path.
     """
     path = checks.path(folder, "folder")
