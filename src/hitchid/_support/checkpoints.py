@@ -103,7 +103,8 @@ class Checkpoints:
             record: Any = work()
             return {field.name: np.asarray(getattr(record, field.name)) for field in fields(record)}
 
-        scalars = dict.fromkeys((field.name for field in fields(kind)), ())
+        record_type: Any = kind
+        scalars = dict.fromkeys((field.name for field in fields(record_type)), ())
         arrays = self.cached_arrays(name, as_arrays, {**scalars, **shapes})
         return kind(**{name: value if value.ndim else value.item() for name, value in arrays.items()})
 
