@@ -53,6 +53,9 @@ class Piece:
 PIECE = Piece(np.array([0.1, -0.0]), 0.1 + 0.2, 3, True, "enough — ≤")
 
 
+BEST = {"best": (2,)}
+
+
 def never():
     raise AssertionError("this was done already")
 
@@ -88,11 +91,32 @@ def test_what_was_kept_comes_back_bit_for_bit_and_is_not_done_again(tmp_path):
 
 def test_a_record_comes_back_as_it_was(tmp_path):
     kept = Checkpoints(tmp_path / "run")
-    for found in (kept.cached("best", Piece, lambda: PIECE), kept.cached("best", Piece, never)):
+    for found in (kept.cached("best", Piece, lambda: PIECE, BEST), kept.cached("best", Piece, never, BEST)):
         assert found.best.tobytes() == PIECE.best.tobytes()
         told = (found.loss, found.count, found.open, found.reason)
         assert told == (PIECE.loss, PIECE.count, PIECE.open, PIECE.reason)
         assert [type(each) for each in told] == [float, int, bool, str]
+
+
+MISFITS = {
+    "another size": {"best": np.zeros(3), "trace": np.zeros((4, 2))},
+    "another number of axes": {"best": np.zeros(2), "trace": np.zeros(4)},
+    "sizes that differ": {"best": np.zeros(2), "trace": np.zeros((4, 3))},
+    "no number": {"best": np.array([np.nan, 0.0]), "trace": np.zeros((4, 2))},
+    "text": {"best": np.array(["a", "b"]), "trace": np.zeros((4, 2))},
+    "missing": {"best": np.zeros(2)},
+    "more": {"best": np.zeros(2), "trace": np.zeros((4, 2)), "other": np.zeros(1)},
+}
+
+
+@pytest.mark.parametrize("arrays", MISFITS.values(), ids=MISFITS)
+def test_arrays_that_are_not_those_of_the_task_are_computed_anew(tmp_path, arrays):
+    kept, shapes = Checkpoints(tmp_path / "run"), {"best": (2,), "trace": ("g", 2)}
+    kept.cached_arrays("search", Work(arrays))
+    whole = {"best": np.ones(2), "trace": np.full((5, 2), np.inf)}
+    whole["trace"][0] = 1.0
+    assert_bits(dict(kept.cached_arrays("search", Work(whole), shapes)), whole)
+    assert_bits(dict(kept.cached_arrays("search", never, shapes)), whole)
 
 
 def test_without_a_folder_nothing_is_kept_and_all_is_done(tmp_path, monkeypatch):
@@ -100,7 +124,7 @@ def test_without_a_folder_nothing_is_kept_and_all_is_done(tmp_path, monkeypatch)
     work = Work()
     for kept in (DISABLED, DISABLED.child("lifting"), Checkpoints()):
         assert kept.cached_arrays("search", work) is ARRAYS
-        assert kept.cached("best", Piece, lambda: PIECE).loss == PIECE.loss
+        assert kept.cached("best", Piece, lambda: PIECE, BEST).loss == PIECE.loss
     assert work.done == 3
     assert list(tmp_path.iterdir()) == []
 
@@ -306,7 +330,7 @@ def stopped_after(count, campaign, settings, place):
     """Identify until so many pieces have been kept, and return how many were done."""
     keep, done, one_at_a_time = Checkpoints.cached_arrays, [], Lock()
 
-    def arrays(self, name, work):
+    def arrays(self, name, work, shapes=None):
         def counted():
             # Both directions are worked on at the same time.
             with one_at_a_time:
@@ -315,7 +339,7 @@ def stopped_after(count, campaign, settings, place):
                 done.append(name)
             return work()
 
-        return keep(self, name, counted)
+        return keep(self, name, counted, shapes)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Checkpoints, "cached_arrays", arrays)

@@ -15,6 +15,7 @@ from hitchid._support.storage import canonical_json, digest, write_bytes
 from hitchid.errors import InputError
 
 Arrays = Mapping[str, np.ndarray]
+Shapes = Mapping[str, tuple[int | str, ...]]  # of arrays by name; a letter is any size, the same everywhere
 Cached = TypeVar("Cached")
 SUFFIX, RUN_FILE, FAILED_FILE = ".npz", "run.json", "failed"
 DIGEST_LENGTH = 64  # characters of a SHA-256 in hexadecimal
@@ -62,8 +63,14 @@ class Checkpoints:
         """Return the checkpoints of a subtask."""
         return replace(self, parents=(*self.parents, name))
 
-    def cached_arrays(self, name: str, work: Callable[[], Arrays]) -> Arrays:
+    def cached_arrays(self, name: str, work: Callable[[], Arrays], shapes: Shapes | None = None) -> Arrays:
         """Return the arrays cached under a name, or compute and cache them.
+
+        Args:
+            name: of the result.
+            work: computes it.
+            shapes: of its arrays; those of a known size are finite. A file with others, whose digest was
+                put right, is computed anew. None for any.
 
         Raises:
             OutputError: it cannot be written.
@@ -72,18 +79,21 @@ class Checkpoints:
             return work()
         path = self.folder / _file_name(*self.parents, name)
         arrays = _read(path)
-        if arrays is None:
+        if arrays is None or (shapes is not None and not _has_shapes(arrays, shapes)):
             arrays = dict(work())
             write_bytes(path, _with_digest(arrays), force=True)
         return arrays
 
-    def cached(self, name: str, kind: Callable[..., Cached], work: Callable[[], Cached]) -> Cached:
+    def cached(
+        self, name: str, kind: Callable[..., Cached], work: Callable[[], Cached], shapes: Shapes
+    ) -> Cached:
         """Return the dataclass instance cached under a name, or compute and cache it.
 
         Args:
             name: of the result.
             kind: a dataclass whose fields are numbers, strings and arrays.
             work: computes an instance.
+            shapes: of its fields that are arrays, as for `cached_arrays`; the others are scalars.
 
         Raises:
             OutputError: it cannot be written.
@@ -93,7 +103,9 @@ class Checkpoints:
             record: Any = work()
             return {field.name: np.asarray(getattr(record, field.name)) for field in fields(record)}
 
-        arrays = self.cached_arrays(name, as_arrays)
+        record_type: Any = kind
+        scalars = dict.fromkeys((field.name for field in fields(record_type)), ())
+        arrays = self.cached_arrays(name, as_arrays, {**scalars, **shapes})
         return kind(**{name: value if value.ndim else value.item() for name, value in arrays.items()})
 
 
@@ -149,6 +161,24 @@ def _file_name(*names: str) -> str:
     """Return a legible file name, unique by a digest of the names."""
     legible = re.sub(r"[^a-z0-9]+", "-", "-".join(names).lower())[:MAX_READABLE]
     return f"{legible}-{digest(repr(names).encode())[:HASH_LENGTH]}{SUFFIX}"
+
+
+def _has_shapes(arrays: Arrays, shapes: Shapes) -> bool:
+    """Return whether arrays have the names and the shapes, and those of a known size finite numbers."""
+    if arrays.keys() != shapes.keys():
+        return False
+    sizes: dict[str, int] = {}
+    for name, shape in shapes.items():
+        array = arrays[name]
+        if array.ndim != len(shape):
+            return False
+        for expected, size in zip(shape, array.shape, strict=True):
+            if size != (sizes.setdefault(expected, size) if isinstance(expected, str) else expected):
+                return False
+        is_known = bool(shape) and all(isinstance(expected, int) for expected in shape)
+        if (shape and array.dtype.kind not in "iuf") or (is_known and not np.all(np.isfinite(array))):
+            return False
+    return True
 
 
 def _with_digest(arrays: Arrays) -> bytes:

@@ -21,7 +21,7 @@ from hitchid.baselines.fitted import FittedBaseline
 from hitchid.baselines.integrating_lstm import SINGLE, IntegratingLstm
 from hitchid.baselines.linear_inputs import covariate_scaling, covariates_of
 from hitchid.errors import FitError
-from hitchid.estimation.training import weights_of, with_weights
+from hitchid.estimation.training import weight_shapes, weights_of, with_weights
 from hitchid.structures import Batch, validation_mask
 
 HIDDEN, MEMBERS = 16, 5  # cells of an LSTM, LSTMs of an ensemble; chosen
@@ -156,7 +156,9 @@ class BlackBoxBaseline(Baseline):
             )
             return {**weights_of(networks), "best_step": np.asarray(best_step)}
 
-        arrays = context.checkpoints.cached_arrays("training", trained)
+        arrays = context.checkpoints.cached_arrays(
+            "training", trained, {**weight_shapes(untrained.networks), "best_step": ()}
+        )
         if not arrays["best_step"]:
             raise FitError(
                 "the training never became better on the validation tests than displacement that stays; "

@@ -111,7 +111,8 @@ def compare_searches(
         for seed in range(first_seed, first_seed + comparison.seeds):
             name = digest(f"{stamp} {search!r} {seed}".encode())
             run = partial(_run, coarse, problem, search, seed)
-            runs.append(_from_stored(comparison.checkpoints.cached(name, _StoredRun, run)))
+            shapes = {"fitness": ("g",), "values": ("g", "d")}
+            runs.append(_from_stored(comparison.checkpoints.cached(name, _StoredRun, run, shapes)))
         histories.append(SearchHistory(search.name, tuple(runs)))
     return tuple(histories)
 

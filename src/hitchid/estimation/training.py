@@ -12,7 +12,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
-from hitchid._support.checkpoints import DISABLED, Arrays, Checkpoints
+from hitchid._support.checkpoints import DISABLED, Arrays, Checkpoints, Shapes
 from hitchid._support.short_repr import short_repr
 
 Network = TypeVar("Network")
@@ -93,7 +93,7 @@ def train(
         best, trace = _train(network, error, training, validation, settings, key, progress)
         final_fields = {
             "best_epoch": np.asarray(trace.best_epoch),
-            "ending": np.asarray(trace.stop_reason.name),
+            "ending": np.asarray(list(TrainingStopReason).index(trace.stop_reason)),
         }
         return {
             **weights_of(best),
@@ -102,8 +102,9 @@ def train(
             **final_fields,
         }
 
-    arrays = checkpoints.cached_arrays("training", work)
-    stop_reason = TrainingStopReason[str(arrays["ending"])]
+    shapes = {"training": ("e",), "validation": ("e",), "best_epoch": (), "ending": ()}
+    arrays = checkpoints.cached_arrays("training", work, {**weight_shapes(network), **shapes})
+    stop_reason = list(TrainingStopReason)[int(arrays["ending"]) % len(TrainingStopReason)]
     trace = TrainingHistory(arrays["training"], arrays["validation"], int(arrays["best_epoch"]), stop_reason)
     return with_weights(network, arrays), trace
 
@@ -118,6 +119,11 @@ def weights_of(network: object) -> Arrays:
     """Return every array of a network, `weights 0` and so on."""
     leaves = jax.tree.leaves(eqx.filter(network, eqx.is_array))
     return {f"weights {number}": np.asarray(leaf) for number, leaf in enumerate(leaves)}
+
+
+def weight_shapes(network: object) -> Shapes:
+    """Return the shapes of `weights_of`."""
+    return {name: array.shape for name, array in weights_of(network).items()}
 
 
 def with_weights(network: Network, arrays: Arrays) -> Network:

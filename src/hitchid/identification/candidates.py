@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import jax.numpy as jnp
 import numpy as np
 
+from hitchid._support.checkpoints import Shapes
 from hitchid._support.metrics import better_on_held_out_tests, log_ratio_p_value
 from hitchid._support.short_repr import short_repr
 from hitchid.estimation import Objective, refine_subset
@@ -198,6 +199,13 @@ def evaluate(
         held_out_per_test_gain += list(per_test_gain.rmse_by_test(refitted)[held_tests])
     fold = np.repeat(np.arange(len(folds)), [int(held_tests.sum()) for held_tests in folds])
     return Evaluation(positions, rmse, np.array(held_out), np.array(held_out_per_test_gain), fold)
+
+
+def evaluation_shapes(objective: Objective, folds: Sequence[np.ndarray]) -> Shapes:
+    """Return the shapes of the arrays of an `Evaluation`."""
+    held_out = (int(sum(held_tests.sum() for held_tests in folds)),)
+    errors = dict.fromkeys(("held_out", "held_out_per_test_gain", "fold"), held_out)
+    return {"positions": (len(objective.spec.parameters),), **errors}
 
 
 def _with_tests(objective: Objective, tests: np.ndarray) -> Objective:

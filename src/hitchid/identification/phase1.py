@@ -149,9 +149,13 @@ def find_parameters(
     stage = "searching parameters"
     parts = split_progress(progress, FIT_SHARES)
     parts["search"](ProgressUpdate(stage, 0.0))
+    size = len(spec.parameters)
     callback = iteration_progress(parts["search"], stage, f"RMSE / {unit}" if unit else "RMSE")
     search_result = checkpoints.cached(
-        "search", SearchResult, lambda: search.minimise(problem, seed, callback)
+        "search",
+        SearchResult,
+        lambda: search.minimise(problem, seed, callback),
+        {"best": (size,), "fitness_trace": ("g",), "best_trace": ("g", size)},
     )
     position = checkpoints.cached_arrays(
         "least squares",
@@ -160,6 +164,7 @@ def find_parameters(
                 objective, [search_result.best, *_local_starts(spec, seed)], parts
             )
         },
+        {"position": (size,)},
     )["position"]
     return Fit(objective, position, objective, search_result)
 
@@ -190,7 +195,9 @@ def continue_fit(
         refined = refine(objective.problem(), objective.position(start), limit=STEPS)
         return {"position": with_calibrated_gain(objective, refined.position)}
 
-    position = checkpoints.cached_arrays("least squares", work)["position"]
+    position = checkpoints.cached_arrays("least squares", work, {"position": (len(spec.parameters),)})[
+        "position"
+    ]
     return Fit(objective, position, plain.searched, plain.search_result)
 
 

@@ -16,6 +16,7 @@ from hitchid.identification.candidates import (
     Evaluation,
     best_candidate,
     evaluate,
+    evaluation_shapes,
     fit_and_evaluate,
     operating_point_folds,
     with_positions,
@@ -207,7 +208,9 @@ class _Choice:
         spec = baseline.objective.spec
         objective, free = Objective.of(self.coarse, spec), range(baseline.position.size)
         work = partial(evaluate, objective, free, baseline.position, self.folds)
-        evaluation = self.checkpoints.cached("form", Evaluation, work)
+        evaluation = self.checkpoints.cached(
+            "form", Evaluation, work, evaluation_shapes(objective, self.folds)
+        )
         candidates = [evaluation.candidate(BASELINE, spec, objective, free)]
         objective = Objective.of(self.coarse, largest)
         names = [parameter.name for parameter in largest.parameters]
@@ -303,7 +306,7 @@ class _Choice:
         self, name: str, objective: Objective, free: Sequence[int], starts: Sequence[np.ndarray]
     ) -> Evaluation:
         work = partial(fit_and_evaluate, objective, free, starts, self.folds)
-        return self.checkpoints.cached(name, Evaluation, work)
+        return self.checkpoints.cached(name, Evaluation, work, evaluation_shapes(objective, self.folds))
 
     def _report(self, part: str, candidate: Candidate, fraction: float) -> None:
         figures = {f"RMSE on levels held out / {self.units['x']}": candidate.held_out_rmse}

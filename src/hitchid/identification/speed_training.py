@@ -163,7 +163,8 @@ def _trained(
         starts = [_initial_weights(rng, runs.inputs, settings.units) for _ in range(settings.members)]
         return {"weights": np.stack([_fitted(compensator, runs, start, ridge) for start in starts])}
 
-    weights = checkpoints.cached_arrays("weights", work)["weights"]
+    shape = settings.members, (runs.inputs + 2) * settings.units
+    weights = checkpoints.cached_arrays("weights", work, {"weights": shape})["weights"]
     return replace(compensator, networks=_networks(jnp.asarray(weights), settings.units))
 
 

@@ -84,10 +84,11 @@ def save(
 
 @double_precision
 def load(folder: str | Path) -> Hitch:
-    """Read a model folder; schema and digests are checked.
+    """Read a model folder; digests, keys, types and bounds are checked, as it may come from a stranger.
 
     Raises:
-        ModelFolderError: the folder or a file is missing, was cut short or edited, or has an unknown schema.
+        ModelFolderError: the folder or a file is missing, was cut short or edited, has an unknown schema, or
+            a key, a value or an array that no identification writes.
         InputError: `folder` is not a path.
     """
     path = checks.path(folder, "folder")

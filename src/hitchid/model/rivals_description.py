@@ -7,7 +7,7 @@ import numpy as np
 
 from hitchid.model.channel_description import channel_tensors, describe_channel, read_channel
 from hitchid.model.rivals import Rivals
-from hitchid.model.schema import RivalsOfDirection
+from hitchid.model.schema import Direction, RivalsOfDirection
 from hitchid.model.tensors import Tensors, fill, shapes_of, tensors_of
 
 
@@ -27,7 +27,7 @@ def rivals_tensors(rivals: Mapping[str, Rivals]) -> dict[str, np.ndarray]:
     return tensors
 
 
-def read_rivals(described: Mapping[str, RivalsOfDirection], tensors: Tensors) -> dict[str, Rivals]:
+def read_rivals(described: Mapping[Direction, RivalsOfDirection], tensors: Tensors) -> dict[str, Rivals]:
     """Return the rivals of each direction from their description and tensors.
 
     Raises:
