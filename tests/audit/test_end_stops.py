@@ -70,12 +70,12 @@ def test_both_stops_of_mixed_logs_are_found_and_named_by_the_audit(log):
     logs = [log("both", *up_and_down), log("neither", (0, 1), (40, 1), (0, 1), (-40, 1), (0, 1))]
     findings = [finding for finding in audit(Campaign.of(logs)) if finding.check == "end stop"]
     assert [finding.record for finding in findings] == ["both", "both"]
-    positions = sorted(float(finding.what.split("end stop of ")[1].split()[0]) for finding in findings)
+    positions = sorted(float(finding.what.split("stays at ")[1].split()[0]) for finding in findings)
     np.testing.assert_allclose(positions, [0.0, 100.0], atol=NOISE)
 
 
 def test_a_stop_that_is_given_is_used_and_logs_beyond_it_are_named(log):
-    logs = [log("near", (0, 1), (40, 3), (0, 1), start=60.0), log("far", (0, 1), (60, 4), (0, 1), start=17.0)]
+    logs = [log("near", (0, 1), (40, 2), (0, 1), start=60.0), log("far", (0, 1), (60, 4), (0, 1), start=17.0)]
     stop = find_end_stop(logs, "lifting", 1, known=100.0)
     assert (stop.position, stop.reached, dict(stop.standing)) == (100.0, (), {})
     campaign = Campaign.of(logs, end_stops=(0.0, 90.0))
@@ -125,5 +125,5 @@ def test_campaign_toml_says_the_stops_in_the_unit_of_its_displacement(tmp_path):
 
 @pytest.mark.parametrize("wrong", ["[100, 0]", "[0]", "[0, nan]", '["a", "b"]', "100"])
 def test_stops_that_are_no_range_are_refused_with_the_file(tmp_path, wrong):
-    with pytest.raises(SettingsError, match=r"campaign\.toml: end_stops"):
+    with pytest.raises(SettingsError, match=r"campaign\.toml: key 'end_stops"):
         read(write_log(tmp_path / "a", f"end_stops = {wrong}\n"))

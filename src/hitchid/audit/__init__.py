@@ -10,3 +10,4 @@ from hitchid.audit.neutral import CommandResponse as CommandResponse
 from hitchid.audit.neutral import rest_level as rest_level
 from hitchid.audit.quality import Quality as Quality
 from hitchid.audit.quality import quality as quality
+from hitchid.audit.resolution import update_interval as update_interval

@@ -166,7 +166,7 @@ def end_stops(context: CampaignContext) -> list[AuditFinding]:
             record = test.record
             if stretches:
                 seconds = sum(last - first for first, last in stretches) * record.step_s
-                where = f"stays at its end stop of {stop.position:.5g} {unit} under command from"
+                where = f"stays at {stop.position:.5g} {unit}, an end stop, under command from"
                 extent = f", {seconds:.3g} s in total"
             else:
                 way = np.abs(record.displacement - stop.position)

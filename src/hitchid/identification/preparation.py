@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hitchid.audit import find_end_stop
+from hitchid.audit import find_end_stop, quality, update_interval
 from hitchid.data.campaign import STROKE_SEPARATOR, Campaign
 from hitchid.data.left_out import LeftOut, left_out_notices, refuse, split_usable
 from hitchid.data.record import CYCLE, DIRECTIONS, LIFTING, Record
@@ -43,6 +43,7 @@ class ChannelData:
         validation_names: names of the latter.
         notices: sentences for the user.
         left_out: tests and ramps that cannot be used.
+        update_s: interval at which the sensor is updated, s; zero where each sample is measured anew.
     """
 
     direction: str
@@ -56,6 +57,7 @@ class ChannelData:
     validation_names: tuple[str, ...]
     notices: tuple[str, ...]
     left_out: tuple[LeftOut, ...] = ()
+    update_s: float = 0.0
 
     def channel(self, benchmark: PhysicalModel, operating_range: OperatingRange) -> Channel:
         """Return a channel with a benchmark and no compensators."""
@@ -140,6 +142,13 @@ def prepare(
             f"end stop at {end_stop:.4g} {records[0].unit}{', as given' if known is not None else ''}, "
             f"reached in {len(reached)} of {logs}{names}; samples at it are left out"
         )
+    updates = [update_interval(record, quality(record)) for record in cycles or records]
+    update_s = max((interval for interval in updates if interval is not None), default=0.0)
+    if update_s:
+        notices.append(
+            f"the displacement is updated every {update_s:.3g} s but logged every {campaign.step_s:.3g} s: "
+            "delays are known no better than that"
+        )
     signals = [_test_signals(record, direction, sign, end_stop) for record in records]
     if dead_zone is None:
         dead_zone, unmoved_ramps = _dead_zone_from_ramps(campaign, direction, sign, signals)
@@ -168,6 +177,7 @@ def prepare(
         validation_names=tuple(records[row].name for row in validation_rows),
         notices=tuple(notices),
         left_out=tuple(left_out),
+        update_s=update_s,
     )
 
 
