@@ -250,3 +250,19 @@ def test_motion_against_both_commands_gets_a_turned_sign_proposed(clean, changed
     turned = [changed(record, signals={"displacement": -record.displacement}) for record in clean]
     (finding,) = found(turned, "sign")
     assert "scale = -1" in finding.advice
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"), [(0.1, "10 times less"), (0.001, "1000 times less"), (25.4, "25.4 times more")]
+)
+def test_logs_in_another_unit_under_the_same_name_are_a_fault_each(make_test, changed, found, factor, said):
+    commands = [
+        np.concatenate([np.zeros(100), np.full(400, level)]) for level in (0.6, 0.7, 0.8, 0.65, 0.75, 0.7)
+    ]
+    logs = [make_test(f"l-{number}", command=command) for number, command in enumerate(commands)]
+    assert found(logs, "units") == []
+    for number in (1, 4):
+        logs[number] = changed(logs[number], signals={"displacement": factor * logs[number].displacement})
+    findings = found(logs, "units")
+    assert [(each.severity.value, each.record) for each in findings] == [("fault", "l-1"), ("fault", "l-4")]
+    assert all(said in each.what for each in findings)

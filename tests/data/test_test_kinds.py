@@ -15,12 +15,9 @@ from hitchid.data.test_kinds import (
     REST_S,
     SHORTEST_STROKE_S,
     SHORTEST_STROKE_SAMPLES,
-    STALL_S,
-    STALL_SPEED_FRACTION,
     detect_kind,
     direction_signs,
     effective_command,
-    end_stop_contact,
     full_scales,
     ramp_direction,
     split_by_direction,
@@ -192,44 +189,3 @@ def test_a_pause_shorter_than_a_rest_does_not_cut_a_stroke():
     pause = round(REST_S / STEP_S) - 1
     record = held((20, 0, 0), (100, 1, 0), (pause, 0, 0), (100, 1, 0))
     assert [(s.direction, s.start, s.stop) for s in strokes(record, ZONES)] == [("lifting", 10, 220 + pause)]
-
-
-def driven_into_stop(*, rest=20, moving=500, standing=200, commanded=200):
-    """Return a piston that moves 0.1 mm a sample, stands, and a command that goes on for some samples."""
-    displacement = np.concatenate(
-        [np.zeros(rest), 0.1 * np.arange(1, moving + 1), np.full(standing, 0.1 * moving)]
-    )
-    command = np.zeros(displacement.size)
-    command[rest : rest + moving + commanded] = 1.0
-    return record_of(command, displacement=displacement)
-
-
-def test_the_piston_is_found_to_stand_at_its_end_stop():
-    contact = end_stop_contact(driven_into_stop(), "lifting")
-    # It counts as standing once it moves in 0.3 s less than 10 % of what it moves at its fastest.
-    assert abs(contact - 519) <= STALL_SPEED_FRACTION * STALL_S / STEP_S + 1
-
-
-@pytest.mark.parametrize(
-    "record",
-    [
-        driven_into_stop(standing=200, commanded=0),
-        driven_into_stop(standing=10, commanded=10),
-        record_of(np.zeros(500), displacement=np.arange(500.0)),
-        record_of(np.ones(500), displacement=np.arange(500.0)),
-        record_of(np.ones(500), displacement=np.zeros(500)),
-        record_of(np.ones(40), displacement=np.arange(40.0)),
-    ],
-    ids=["command ends", "stands briefly", "no command", "never stands", "never moves", "too short"],
-)
-def test_no_end_stop_is_found_where_none_was_met(record):
-    assert end_stop_contact(record, "lifting") is None
-
-
-def test_a_lowered_piston_meets_its_end_stop_at_the_bottom():
-    lifted = driven_into_stop()
-    lowered = record_of(lifted.command("lifting"), displacement=200.0 - lifted.displacement)
-    top, bottom = end_stop_contact(lifted, "lifting"), end_stop_contact(lowered, "lifting")
-    assert top is not None
-    assert bottom is not None
-    assert abs(top - bottom) <= 1  # rounding of 0.1 mm decides on which side of the threshold a sample is

@@ -14,7 +14,7 @@ from hitchid.audit.feedback import feedback
 from hitchid.audit.finding import AuditFinding
 from hitchid.audit.neutral import neutral
 from hitchid.audit.polarity import signs
-from hitchid.audit.ranges import units
+from hitchid.audit.ranges import units, units_of_logs
 from hitchid.audit.repeatability import drift, ramp_onsets, start_positions
 from hitchid.audit.resolution import noisy, quantisation, update_rate
 from hitchid.audit.sampling import coarse, gaps, not_measured, steps
@@ -33,15 +33,16 @@ RECORD_CHECKS: tuple[Callable[[RecordContext], list[AuditFinding]], ...] = (
     spikes,
     jumps,
     current_lag,
-    end_stops,
     both_valves,
     little_motion,
     short_or_idle,
 )
 CAMPAIGN_CHECKS: tuple[Callable[[CampaignContext], list[AuditFinding]], ...] = (
     units,
+    units_of_logs,
     gaps,
     stuck_sensors,
+    end_stops,
     motion_before_command,
     signs,
     neutral,

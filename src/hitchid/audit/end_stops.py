@@ -1,72 +1,204 @@
-"""Check for a piston at an end stop under command."""
+"""End stops of a campaign, and the check that names the logs that reach them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from hitchid._support.notices import Severity
-from hitchid.audit.context import RecordContext
-from hitchid.audit.finding import AuditFinding
-from hitchid.data.record import CYCLE, DIRECTIONS
-from hitchid.data.segmentation import AT_END_FRACTION, END_STOP, segments
-from hitchid.data.test_kinds import end_stop_contact
+from hitchid.audit.context import CampaignContext, travel
+from hitchid.audit.finding import AuditFinding, true_intervals
+from hitchid.audit.quality import quality
+from hitchid.data.record import DIRECTIONS, Record
+from hitchid.data.test_kinds import ACTIVE_FRACTION
 
-CHUNK_SAMPLES = 2**19  # samples of a long record examined at once, to limit memory (chosen)
+STANDS_S = 0.3  # s; shortest standstill, after as long under the same command: several lags (chosen)
+AT_END_FRACTION = 0.02  # of the range; largest distance of a stop from the farthest displacement (chosen)
+REACHED_FRACTION = 0.0025  # of the range; a log that comes so near to a stop has reached it (chosen)
+LONGEST_SPIKE = 3  # samples; a farther displacement that lasts no longer is no motion
+PASSED_FRACTION = 0.02  # of the range; a stop that logs pass by more is not where it is said to be (chosen)
 
 
-def end_stops(context: RecordContext) -> list[AuditFinding]:
-    """Find contact with an end stop.
+@dataclass(frozen=True)
+class EndStop:
+    """A mechanical end of the stroke.
 
-    By `end_stop_contact` in tests of one direction, by `segments` in mixed ones; a note, since identification
-    leaves out samples at an end stop reached in two tests.
+    Attributes:
+        position: its displacement.
+        reached: names of the records that come to it.
+        standing: record to the samples `start:stop` in which the piston stands there under command.
     """
-    record = context.record
-    if record.kind == CYCLE:
-        stretches = _cycle_contacts(context)
-    elif record.kind in DIRECTIONS:
-        contact = end_stop_contact(record, record.kind)
-        active_samples = np.flatnonzero(context.active(record.kind))
-        stretches = [] if contact is None else [(contact, int(active_samples[-1]) + 1)]
-        stretches = [stretch for stretch in stretches if _is_stationary(context, *stretch)]
+
+    position: float
+    reached: tuple[str, ...]
+    standing: Mapping[str, list[tuple[int, int]]]
+
+
+class _Drive(NamedTuple):
+    """One record in the direction of a stop, arrays of shape [N].
+
+    Attributes:
+        record: the record.
+        position: sign times displacement.
+        command: the least command over the last 0.6 s, zero where there is none.
+        travel: of the position over the last 0.3 s.
+        tolerance: what noise and rounding change at most.
+        window: samples of 0.3 s.
+    """
+
+    record: Record
+    position: np.ndarray
+    command: np.ndarray
+    travel: np.ndarray
+    tolerance: float
+    window: int
+
+
+def find_end_stop(
+    records: Sequence[Record], direction: str, sign: int, known: float | None = None
+) -> EndStop | None:
+    """Return the end stop in a direction; None where no record meets one.
+
+    A piston is at its stop where it stands at the extreme of its travel, within 2 % of the range, while its
+    command has been on for 0.6 s, the last 0.3 s of them without motion. The command must be one that moves
+    the piston elsewhere, and more than any at which it stands elsewhere, as in the dead zone. Once is enough.
+
+    Args:
+        records: tests of any kind.
+        direction: whose command drives towards the stop.
+        sign: +1 where the displacement grows with that command, −1 where it falls.
+        known: position of the stop where it is known already.
+    """
+    drives = [_drive(record, direction, sign) for record in records if direction in record.directions]
+    if not drives:
+        return None
+    farthest = max(_without_spikes(drive.position) for drive in drives)
+    span = farthest - min(-_without_spikes(-drive.position) for drive in drives)
+    if known is None:
+        largest = max(float(drive.command.max()) for drive in drives)
+        moving, still, standing_at = [], [], []
+        for drive in drives:
+            is_driven = drive.command > ACTIVE_FRACTION * largest
+            is_at_end = drive.position >= farthest - max(drive.tolerance, AT_END_FRACTION * span)
+            moving.append(drive.command[is_driven & ~is_at_end & (drive.travel > drive.tolerance)])
+            stands = is_driven & (np.abs(drive.travel) <= drive.tolerance)
+            still.append(drive.command[stands & ~is_at_end])
+            standing_at.append(stands & is_at_end)
+        commands, idle = np.concatenate(moving), np.concatenate(still)
+        if not commands.size:
+            return None
+        # One percent either way for chance: a rounding that looks like motion, a sensor that stuck.
+        least, most = np.percentile(commands, 1), np.percentile(idle, 99) if idle.size else 0.0
+        standing = [
+            at_end & (drive.command >= least * (1 - 1e-9)) & (drive.command > most)
+            for drive, at_end in zip(drives, standing_at, strict=True)
+        ]
+        levels = np.concatenate([d.position[rows] for d, rows in zip(drives, standing, strict=True)])
+        if not levels.size:
+            return None
+        position = float(np.median(levels))
     else:
-        stretches = []
-    if not stretches:
-        return []
-    time = sum(stop - start for start, stop in stretches) * record.step_s
-    start, stop = stretches[0]
-    stop_position = float(np.median(record.displacement[start:stop]))
-    return [
-        context.finding(
-            "end stop",
-            Severity.NOTE,
-            f"the piston stays at {stop_position:.5g} {record.unit} under command from "
-            f"{record.start_s + start * record.step_s:.6g} s, {time:.3g} s in total",
-            "end tests before the stop: samples at the stop contain no information on the valve",
-            intervals=stretches,
-        )
+        position = sign * known
+        standing = [
+            (drive.command > 0)
+            & (np.abs(drive.travel) <= drive.tolerance)
+            & (drive.position >= position - max(drive.tolerance, REACHED_FRACTION * span))
+            for drive in drives
+        ]
+    reached = [
+        drive.record.name
+        for drive in drives
+        if _without_spikes(drive.position) >= position - max(drive.tolerance, REACHED_FRACTION * span)
     ]
+    stretches = {}
+    for drive, rows in zip(drives, standing, strict=True):
+        if rows.any():
+            # A standstill began a window before the sample that shows it.
+            covered = rows.copy()
+            for start, stop in zip(*true_intervals(rows), strict=True):
+                covered[max(0, start - drive.window) : stop] = True
+            starts, stops = true_intervals(covered)
+            stretches[drive.record.name] = list(zip(starts.tolist(), stops.tolist(), strict=True))
+    return EndStop(sign * position, tuple(reached), stretches)
 
 
-def _is_stationary(context: RecordContext, start: int, stop: int) -> bool:
-    """Return whether the displacement is constant: `end_stop_contact` misjudges a record with a spike."""
-    displacement = context.record.displacement[start:stop]
-    quarter = max(1, displacement.size // 4)
-    travel = abs(float(np.median(displacement[-quarter:])) - float(np.median(displacement[:quarter])))
-    return travel <= max(context.quality.noise_bound, AT_END_FRACTION * context.quality.peak_to_peak)
+def _drive(record: Record, direction: str, sign: int) -> _Drive:
+    from scipy.ndimage import minimum_filter1d  # not at the top: a tenth of a second
+
+    command, position = record.command(direction), sign * record.displacement
+    # A single command of both signs drives towards the stop with one of them.
+    command = np.maximum(command, 0.0) if command.min() < 0 < command.max() else np.abs(command)
+    for other in record.directions:
+        if other != direction:
+            command = np.where(np.abs(record.command(other)) > command, 0.0, command)
+    window = max(2, round(STANDS_S / record.step_s))
+    least = minimum_filter1d(command, 2 * window + 1, mode="constant", origin=window)
+    moved = np.full(position.size, np.inf)
+    moved[window:] = position[window:] - position[:-window]
+    return _Drive(record, position, least, moved, quality(record).noise_bound, window)
 
 
-def _cycle_contacts(context: RecordContext) -> list[tuple[int, int]]:
-    """Return samples `start:stop` of contact; a long record is examined in chunks, to limit memory."""
-    record, contacts = context.record, []
-    margin = AT_END_FRACTION * context.quality.peak_to_peak
-    for first in range(0, len(record), CHUNK_SAMPLES):
-        chunk = record.slice(first, min(len(record), first + CHUNK_SAMPLES))
-        for segment in segments(chunk, context.scales):
-            if segment.label != END_STOP:
-                continue
-            stop_position = float(np.median(chunk.displacement[segment.start : segment.stop]))
-            # An extreme of a chunk need not be an extreme of the record.
-            if (
-                stop_position >= context.quality.highest - margin
-                or stop_position <= context.quality.lowest + margin
-            ):
-                contacts.append((first + segment.start, first + segment.stop))
-    return contacts
+def _without_spikes(position: np.ndarray) -> float:
+    """Return the largest position that is held for longer than a spike."""
+    count = min(LONGEST_SPIKE + 1, position.size)
+    return float(np.lib.stride_tricks.sliding_window_view(position, count).min(axis=1).max())
+
+
+def end_stops(context: CampaignContext) -> list[AuditFinding]:
+    """Find the logs that reach an end stop: a note, since identification leaves out samples at it.
+
+    A stop that is said in `campaign.toml`, and that logs pass by 2 % of the range, is a warning.
+    """
+    findings, tests = [], {test.record.name: test for test in context.tests}
+    unit = context.tests[0].quality.unit
+    for direction in DIRECTIONS:
+        driven = [test for test in context.tests if direction in test.record.directions]
+        ways = sum(travel(test, direction) for test in driven)
+        if not ways:
+            continue
+        known = context.campaign.end_stop(1 if ways > 0 else -1)
+        stop = find_end_stop([test.record for test in driven], direction, 1 if ways > 0 else -1, known)
+        if stop is None:
+            continue
+        for name in stop.reached:
+            test, stretches = tests[name], stop.standing.get(name, [])
+            record = test.record
+            if stretches:
+                seconds = sum(last - first for first, last in stretches) * record.step_s
+                where = f"stays at {stop.position:.5g} {unit}, an end stop, under command from"
+                extent = f", {seconds:.3g} s in total"
+            else:
+                way = np.abs(record.displacement - stop.position)
+                stretches, where, extent = [(int(np.argmin(way)), int(np.argmin(way)) + 1)], "", ""
+                where = f"reaches the end stop of {stop.position:.5g} {unit} at"
+            begin_s = record.start_s + stretches[0][0] * record.step_s
+            findings.append(
+                test.finding(
+                    "end stop",
+                    Severity.NOTE,
+                    f"the piston {where} {begin_s:.6g} s{extent}",
+                    "end tests before the stop: samples at the stop contain no information on the valve",
+                    intervals=stretches,
+                )
+            )
+    return findings + _passed(context)
+
+
+def _passed(context: CampaignContext) -> list[AuditFinding]:
+    """Find logs that pass an end stop that is said."""
+    if context.campaign.end_stops is None:
+        return []
+    low, high = context.campaign.end_stops
+    margin = PASSED_FRACTION * (high - low)
+    return [
+        test.finding(
+            "end stop",
+            Severity.WARNING,
+            f"the piston goes from {test.quality.lowest:.5g} to {test.quality.highest:.5g} "
+            f"{test.quality.unit}, beyond end_stops = [{low:g}, {high:g}]",
+            "check end_stops and the displacement's unit in campaign.toml",
+        )
+        for test in context.tests
+        if test.quality.lowest < low - margin or test.quality.highest > high + margin
+    ]

@@ -2,12 +2,15 @@
 
 from collections.abc import Callable
 from math import pi
+from statistics import median_high
 from typing import NamedTuple
 
+import numpy as np
+
 from hitchid._support.notices import Severity
-from hitchid.audit.context import CampaignContext
+from hitchid.audit.context import CampaignContext, travel
 from hitchid.audit.finding import AuditFinding
-from hitchid.data.record import COMMAND, DISPLACEMENT
+from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT
 from hitchid.data.units import UNITS
 
 
@@ -48,6 +51,11 @@ SMALLEST_MILLIAMPERE = 5.0  # mA; a lower current opens no valve
 LARGEST_PRESSURE_PA = 1000e5  # Pa; above the pressures of hydraulics
 LOWEST_PRESSURE_PA = -2e5  # Pa; 2 bar, allowed for a sensor's offset (chosen)
 LARGEST_VOLTAGE_V = 100.0  # V; above the signals of a test bench
+# Factors between units that a column may have under one name: cm or m and mm, in and mm, rad and deg.
+UNIT_FACTORS = (10.0, 100.0, 1000.0, 25.4, 180 / pi)
+UNIT_TOLERANCE = 1.5  # times a factor either way; tests at different commands differ too (chosen)
+DEAD_ZONE_SHARES = np.linspace(0.0, 0.6, 13)  # of full scale, dead zones that are tried (chosen)
+FEWEST_TO_COMPARE = 3  # tests of a direction (chosen)
 OVERDRIVE = 1.05  # of full scale, 5 % tolerance (chosen)
 
 _POSITION = (
@@ -137,6 +145,53 @@ def units(context: CampaignContext) -> list[AuditFinding]:
             )
         if is_covariate and signal_range.unit == "1" and signal_range.largest > OVERDRIVE:
             findings.append(_finding(role, signal_range, Severity.NOTE, "its unit is probably missing"))
+    return findings
+
+
+def units_of_logs(context: CampaignContext) -> list[AuditFinding]:
+    """Find logs whose unit is another than that of most logs, under the same name: a fault.
+
+    Of each test the travel per command beyond the dead zone and time is compared with the median of its
+    direction: a tenth, or another factor between two units, is no difference between tests of one plant.
+    """
+    findings = []
+    for direction in DIRECTIONS:
+        tests = [test for test in context.tests if direction in test.record.directions]
+        moving = [test for test in tests if abs(travel(test, direction)) > test.quality.noise_bound]
+        if len(moving) < FEWEST_TO_COMPARE:
+            continue
+        # Of several dead zones the one behind which most tests travel alike.
+        commands = [np.abs(test.record.command(direction)) for test in moving]
+        areas = np.array(
+            [
+                [
+                    max(float(np.sum(np.maximum(c - share * context.scales[direction], 0.0))), 1e-9)
+                    for c in commands
+                ]
+                for share in DEAD_ZONE_SHARES
+            ]
+        )
+        ways = [abs(travel(test, direction)) / test.record.step_s for test in moving]
+        logarithms = np.log(ways / areas)
+        medians = np.median(logarithms, axis=1, keepdims=True)
+        best = int(np.argmin(np.median(np.abs(logarithms - medians), axis=1)))
+        gains = np.exp(logarithms[best])
+        usual = median_high(gains.tolist())
+        for test, gain in zip(moving, gains.tolist(), strict=True):
+            ratio = max(usual / gain, gain / usual)
+            factor = min(UNIT_FACTORS, key=lambda factor: abs(np.log(ratio / factor)))
+            if abs(np.log(ratio / factor)) > np.log(UNIT_TOLERANCE):
+                continue
+            share = f"{factor:.4g} times {'less' if gain < usual else 'more'} than"
+            findings.append(
+                test.finding(
+                    "units",
+                    Severity.FAULT,
+                    f"the piston travels about {share} in most {direction} tests for the same command: the "
+                    f"log is probably not in {test.quality.unit}, or its command has another unit",
+                    "put logs in other units into a folder of their own, with a campaign.toml for them",
+                )
+            )
     return findings
 
 

@@ -5,6 +5,8 @@ import numpy as np
 from hitchid._support.notices import Severity
 from hitchid.audit.context import RecordContext
 from hitchid.audit.finding import AuditFinding
+from hitchid.audit.quality import Quality
+from hitchid.data.record import Record
 
 FEWEST_STEPS = 200  # quanta over the range: 0.5 % each, about the difference between models
 MUCH_NOISE = 0.01  # of the range; about the free-run error of a good model
@@ -91,22 +93,18 @@ def update_rate(context: RecordContext) -> list[AuditFinding]:
     than logged: a warning. Others are a dead band: a note, a warning above 0.5 % of the campaign's range.
     """
     quality, step_s = context.quality, context.record.step_s
-    steps = np.diff(context.record.displacement[:MAX_SAMPLES])
-    spacing = np.diff(np.flatnonzero(steps))
-    isolated = (spacing[:-1] > REPEATS) & (spacing[1:] > REPEATS)
-    if np.count_nonzero(isolated) < FEWEST_HOPS:
-        return []
-    hop = float(np.median(np.abs(steps[np.flatnonzero(steps)[1:-1][isolated]])))
-    if not hop >= HOP_STEPS * max(quality.quantum or 0.0, quality.noise):
-        return []
-    middle, long = np.percentile(spacing, [50, 90])
-    if middle > REPEATS and long <= MAX_SPACING_RATIO * middle:
-        what = f"the displacement is updated every {middle * step_s:.3g} s but logged every {step_s:g} s"
+    interval_s = update_interval(context.record, quality)
+    if interval_s is not None:
+        what = f"the displacement is updated every {interval_s:.3g} s but logged every {step_s:g} s"
         advice = (
             "log at the update rate of the sensor; a dead time shorter than the update "
             "interval cannot be identified"
         )
         return [context.finding("sampling", Severity.WARNING, what, advice)]
+    steps = np.diff(context.record.displacement[:MAX_SAMPLES])
+    hop, _ = _hops(steps)
+    if hop is None or not hop >= HOP_STEPS * max(quality.quantum or 0.0, quality.noise):
+        return []
     share = np.count_nonzero(steps) / steps.size
     what = (
         f"the displacement changes in {share:.1%} of the samples and is constant in between; in slow motion "
@@ -115,3 +113,24 @@ def update_rate(context: RecordContext) -> list[AuditFinding]:
     advice = "check for a dead band in the sensor or logger, or friction in the sensor's linkage"
     severity = Severity.WARNING if hop * FEWEST_STEPS > context.campaign_range else Severity.NOTE
     return [context.finding("dead band", severity, what, advice)]
+
+
+def update_interval(record: Record, quality: Quality) -> float | None:
+    """Return the interval at which a sensor is updated, s; None where each sample is measured anew.
+
+    See `update_rate`.
+    """
+    hop, spacing = _hops(np.diff(record.displacement[:MAX_SAMPLES]))
+    if hop is None or not hop >= HOP_STEPS * max(quality.quantum or 0.0, quality.noise):
+        return None
+    middle, long = np.percentile(spacing, [50, 90])
+    return float(middle) * record.step_s if middle > REPEATS and long <= MAX_SPACING_RATIO * middle else None
+
+
+def _hops(steps: np.ndarray) -> tuple[float | None, np.ndarray]:
+    """Return the median size of isolated changes, None with few of them, and the spacing of all changes."""
+    spacing = np.diff(np.flatnonzero(steps))
+    isolated = (spacing[:-1] > REPEATS) & (spacing[1:] > REPEATS)
+    if np.count_nonzero(isolated) < FEWEST_HOPS:
+        return None, spacing
+    return float(np.median(np.abs(steps[np.flatnonzero(steps)[1:-1][isolated]]))), spacing

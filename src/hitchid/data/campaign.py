@@ -41,6 +41,8 @@ class Campaign(Value, Summarised):
         unmatched: patterns of a settings file that match no test here; an error only in an identification.
         left_out: logs and tests that cannot be used, with their reasons.
         strict: whether one test that cannot be used is an error in later steps too.
+        end_stops: lowest and highest displacement that the piston can reach, in the displacement's unit; None
+            where they are found from the tests.
     """
 
     records: tuple[Record, ...]
@@ -48,6 +50,7 @@ class Campaign(Value, Summarised):
     unmatched: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
     strict: bool = False
+    end_stops: tuple[float, float] | None = None
 
     @classmethod
     def of(
@@ -58,6 +61,7 @@ class Campaign(Value, Summarised):
         kinds: Mapping[str, str] | None = None,
         left_out: Sequence[LeftOut] = (),
         strict: bool = False,
+        end_stops: Sequence[float] | None = None,
     ) -> "Campaign":
         """Return records on one clock and in one set of units, and detect the kind of each.
 
@@ -70,6 +74,8 @@ class Campaign(Value, Summarised):
             kinds: pattern on names to kind; overrides the detection from the commands.
             left_out: logs that could not be read.
             strict: whether one record that cannot be used is an error for all.
+            end_stops: lowest and highest displacement that the piston can reach, in the displacement's unit;
+                by default found from the tests.
 
         Raises:
             InputError: no records, an empty record, equal names, a pattern that matches no test, an unknown
@@ -79,6 +85,12 @@ class Campaign(Value, Summarised):
         if test_patterns is not None:
             test_patterns = checks.tuple_of(test_patterns, str, "test_patterns", "patterns on names")
         checks.instance(kinds or {}, Mapping, "kinds", "pattern on names to kind")
+        stops = None
+        if end_stops is not None:
+            positions = checks.numbers(end_stops, "end_stops").tolist()
+            if len(positions) != 2 or not positions[0] < positions[1]:
+                raise InputError(f"end_stops: expected the lower and the higher position, got {positions}")
+            stops = (positions[0], positions[1])
         if not records:
             raise InputError("a campaign needs at least one record, got none")
         if empty := [record.name for record in records if not len(record)]:
@@ -95,7 +107,7 @@ class Campaign(Value, Summarised):
                     f"split.test: the pattern '{pattern}' matches none of the {len(names)} tests"
                 )
         patterns = None if test_patterns is None else tuple(test_patterns)
-        return cls(tuple(usable), patterns, left_out=all_left_out, strict=strict)
+        return cls(tuple(usable), patterns, left_out=all_left_out, strict=strict, end_stops=stops)
 
     @classmethod
     def from_dataframes(
@@ -218,14 +230,20 @@ class Campaign(Value, Summarised):
 
     @property
     def digest(self) -> str:
-        """SHA-256 of names, kinds, clocks, units, samples and split."""
+        """SHA-256 of names, kinds, clocks, units, samples, split and end stops."""
         hasher = hashlib.sha256(repr(self.test_patterns).encode(errors="surrogateescape"))
+        if self.end_stops is not None:
+            hasher.update(repr(self.end_stops).encode())
         for record in self.records:
             metadata = (record.name, record.kind, record.step_s, record.start_s, sorted(record.units.items()))
             hasher.update(repr(metadata).encode(errors="surrogateescape"))
             for role in sorted(record.signals):
                 hasher.update(role.encode(errors="surrogateescape") + record.signals[role].tobytes())
         return hasher.hexdigest()
+
+    def end_stop(self, sign: int) -> float | None:
+        """Return the end stop of rising (+1) or falling (−1) displacement, None where it is not given."""
+        return None if self.end_stops is None else self.end_stops[sign > 0]
 
     def of_kind(self, kind: str) -> tuple[Record, ...]:
         """Return the records of one kind."""

@@ -7,7 +7,15 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from hitchid._support import checks
 from hitchid.data.record import COMMAND
@@ -158,12 +166,28 @@ class Can(Strict):
 
 
 class CampaignFile(Strict):
-    """Content of `campaign.toml`."""
+    """Content of `campaign.toml`.
+
+    Attributes:
+        signals: columns of the logs.
+        can: databases of the bus.
+        split: held-out tests.
+        tests: pattern on names to kind.
+        end_stops: lowest and highest position of the piston, in the displacement's unit.
+    """
 
     signals: SignalMap = DEFAULT_SIGNALS
     can: Can = Can()
     split: Split | None = None
     tests: dict[str, Literal["lifting", "lowering", "ramp", "cycle"]] = {}
+    end_stops: tuple[FiniteFloat, FiniteFloat] | None = None
+
+    @field_validator("end_stops")
+    @classmethod
+    def _lower_first(cls, end_stops: tuple[float, float] | None) -> tuple[float, float] | None:
+        if end_stops is not None and not end_stops[0] < end_stops[1]:
+            raise ValueError("expected the lower and the higher position, in the displacement's unit")
+        return end_stops
 
 
 def signal_map_of(signals: Mapping[str, object]) -> SignalMap:

@@ -1,4 +1,4 @@
-"""Kind of a test from its commands, strokes of a mixed log, contact with an end stop."""
+"""Kind of a test from its commands, strokes of a mixed log."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -10,9 +10,6 @@ from hitchid.data.record import COMMAND, CYCLE, IDLE, LIFTING, LOWERING, RAMP, R
 ACTIVE_FRACTION = 0.05  # of full scale; a smaller command counts as noise (chosen)
 RAMP_CORRELATION = 0.99  # correlation of a ramp's command with time, at least (chosen)
 RAMP_SHORTEST_S = 2.0  # s; a faster rise excites the dynamics (chosen)
-STALL_S = 0.3  # s; window of a standstill: several lags of a common valve (chosen)
-STALL_SPEED_FRACTION = 0.1  # of the largest travel over that window; slower is a standstill (chosen)
-STALL_COMMAND_FRACTION = 0.8  # of a standstill; least share with a strong command (chosen)
 REST_S = 0.5  # s without command before a stroke, in which the piston comes to rest (chosen)
 LEAD_IN_S = 0.1  # s kept before the onset of a stroke (chosen)
 SHORTEST_STROKE_S = 0.5  # s; shorter strokes do not determine the lag (chosen)
@@ -147,27 +144,3 @@ def strokes(record: Record, dead_zones: Mapping[str, float]) -> list[Stroke]:
         if stop - start >= shortest:
             valid_strokes.append(Stroke(LIFTING if signs[onset] > 0 else LOWERING, start, stop))
     return valid_strokes
-
-
-def end_stop_contact(record: Record, direction: str) -> int | None:
-    """Return the sample at which the piston reaches an end stop under command, or None.
-
-    Contact: beyond half of the record's travel and up to the last strong command (one at or above the
-    median), the travel over 0.3 s is below 10 % of the largest travel over that time.
-    """
-    command = np.abs(record.command(direction))
-    active = command > ACTIVE_FRACTION * command.max()
-    window = max(2, round(STALL_S / record.step_s))
-    if not np.any(active):
-        return None
-    strong = command >= np.median(command[active])
-    stop = int(np.flatnonzero(strong)[-1]) + 1
-    displacement = record.displacement[:stop]
-    if stop <= 2 * window:
-        return None
-    travel = np.abs(displacement[window:] - displacement[:-window])
-    moving_samples = np.flatnonzero(travel >= STALL_SPEED_FRACTION * travel.max())
-    contact = int(moving_samples[-1]) + 1
-    past_half = abs(displacement[contact] - displacement[0]) > 0.5 * float(np.ptp(displacement))
-    commanded = float(np.mean(strong[contact:stop])) > STALL_COMMAND_FRACTION
-    return contact if past_half and commanded and stop - contact > window else None

@@ -94,7 +94,7 @@ class CampaignJob:
                 "signals"
             )
         channel_data = {
-            m: prepare(campaign, m, dead_zones.get(m), covariates=specs[m].covariate_names)
+            m: prepare(campaign, m, dead_zones.get(m), covariates=specs[m].covariate_names, cycles=cycles)
             for m in campaign.directions
         }
         _check_window(config.training, channel_data)

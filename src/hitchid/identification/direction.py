@@ -26,11 +26,14 @@ from hitchid.identification.rivals import quick_rivals
 from hitchid.identification.selection import AutoStructure, Candidate, choose_spec
 from hitchid.identification.speed_training import train_speed_compensator
 from hitchid.model import Bands, Channel, Characteristics, Uncertainty
+from hitchid.model.estimates import Estimate
 from hitchid.networks.operating_range import OperatingRange, SignalRange
 from hitchid.structures import Batch
+from hitchid.structures.structure import DEAD_TIME
 from hitchid.uncertainty import characteristics, information_of, load_scatter
 from hitchid.uncertainty.prediction_spread import HeldOutErrors
 
+POOR_FIT = 0.05  # RMSE in free run over the travel, from which on something is not as assumed (chosen)
 FEWEST_LOADS = 3  # tests, of which two differences are left beside the gain
 
 
@@ -51,6 +54,7 @@ def find_benchmark(
     parts = split_progress(progress, {"benchmark": 0.85, "speed map": 0.15})
     with timed(seconds, "benchmark"):
         phase1, candidates = _fit_benchmark(data, config, parts["benchmark"])
+    phase1 = _within_update_interval(phase1, data.update_s)
     data = data.with_dead_zone(_revised_dead_zone(data.dead_zone, candidates))
     channel = data.channel(phase1.benchmark, operating_range_of(data.all_tests, phase1.benchmark.covariates))
     parts["speed map"](ProgressUpdate("speed map", 0.0))
@@ -61,7 +65,12 @@ def find_benchmark(
     trace = ChannelTrace(
         dead_zone=data.dead_zone,
         phase1=phase1,
-        notices=(*data.notices, *_undetermined_notices(phase1), *characteristics_notices),
+        notices=(
+            *data.notices,
+            *_poor_fit_notices(phase1, data.all_tests, config.units["x"]),
+            *_undetermined_notices(phase1),
+            *characteristics_notices,
+        ),
         candidates=candidates,
         seconds=seconds,
         uncertainty=Uncertainty(phase1.assessment, characteristics=operating_characteristics),
@@ -286,6 +295,37 @@ def _characteristics(
         notices,
     )
     return result, notices
+
+
+def _within_update_interval(phase1: Phase1, update_s: float) -> Phase1:
+    """Return the fit with a dead time that may be shorter by the interval at which the sensor is updated.
+
+    A reading that is held until the next is late by up to that interval, which the fit takes for dead time.
+    """
+    if not update_s:
+        return phase1
+
+    def widened(estimate: Estimate) -> Estimate:
+        if estimate.name != DEAD_TIME.name:
+            return estimate
+        low, high = estimate.interval
+        low = max(estimate.lower, (estimate.value if low is None else low) - update_s)
+        reason = f"not determined: the sensor is updated every {update_s:.3g} s, by which it may be shorter"
+        return replace(estimate, interval=(low, high), determined=False, verdict=reason)
+
+    parameters = tuple(widened(estimate) for estimate in phase1.assessment.parameters)
+    return replace(phase1, assessment=replace(phase1.assessment, parameters=parameters))
+
+
+def _poor_fit_notices(phase1: Phase1, tests: Batch, unit: str) -> list[str]:
+    """Return what to look for where the error is a large share of the travel."""
+    travel = float(np.max(np.abs(np.asarray(tests.travel)) * np.asarray(tests.loss_mask)))
+    if not phase1.rmse > POOR_FIT * travel:
+        return []
+    return [
+        f"poor fit: the RMSE of {phase1.rmse:.3g} {unit} is {phase1.rmse / travel:.0%} of the travel; check "
+        "the logs (hitchid inspect), and say known end stops: end_stops = [low, high] in campaign.toml"
+    ]
 
 
 def _undetermined_notices(phase1: Phase1) -> list[str]:

@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hitchid.audit import find_end_stop, quality, update_interval
 from hitchid.data.campaign import STROKE_SEPARATOR, Campaign
 from hitchid.data.left_out import LeftOut, left_out_notices, refuse, split_usable
 from hitchid.data.record import CYCLE, DIRECTIONS, LIFTING, Record
-from hitchid.data.test_kinds import ACTIVE_FRACTION, end_stop_contact, split_by_direction
+from hitchid.data.test_kinds import ACTIVE_FRACTION, split_by_direction
 from hitchid.errors import InputError, LogError
 from hitchid.identification.dead_zone import (
     DeadZone,
@@ -22,7 +23,6 @@ from hitchid.model import Channel
 from hitchid.networks.operating_range import OperatingRange
 from hitchid.structures import Batch, PhysicalModel, before_end_stop, split_validation
 
-STOP_AGREEMENT = 0.02  # share of the range of displacements within which tests meet one end stop
 MAX_LENGTH_RATIO, SETTLING_S = 2.0, 2.0  # of the median stroke; s of rest that are kept: lags have died away
 TestSignals = tuple[np.ndarray, np.ndarray, np.ndarray]
 FEWEST_SAMPLES = 3  # of a test: displacement, speed and one residual
@@ -35,7 +35,7 @@ class ChannelData:
     Attributes:
         direction: the direction.
         sign: +1 where the displacement grows with the command, −1 where it falls.
-        end_stop: displacement the piston did not pass, None where no test met an end stop.
+        end_stop: displacement the piston does not pass, None where it is not given and no test met it.
         dead_zone: dead zone of the command.
         all_tests: all identification tests, for phase 1.
         names: their names.
@@ -43,6 +43,7 @@ class ChannelData:
         validation_names: names of the latter.
         notices: sentences for the user.
         left_out: tests and ramps that cannot be used.
+        update_s: interval at which the sensor is updated, s; zero where each sample is measured anew.
     """
 
     direction: str
@@ -56,6 +57,7 @@ class ChannelData:
     validation_names: tuple[str, ...]
     notices: tuple[str, ...]
     left_out: tuple[LeftOut, ...] = ()
+    update_s: float = 0.0
 
     def channel(self, benchmark: PhysicalModel, operating_range: OperatingRange) -> Channel:
         """Return a channel with a benchmark and no compensators."""
@@ -80,7 +82,12 @@ class ChannelData:
 
 
 def prepare(
-    campaign: Campaign, direction: str, dead_zone: DeadZone | None, *, covariates: Sequence[str] = ()
+    campaign: Campaign,
+    direction: str,
+    dead_zone: DeadZone | None,
+    *,
+    covariates: Sequence[str] = (),
+    cycles: Sequence[Record] = (),
 ) -> ChannelData:
     """Prepare the identification tests of one direction.
 
@@ -92,6 +99,7 @@ def prepare(
         direction: the direction.
         dead_zone: where it is known already; otherwise found from ramps, or else from the tests.
         covariates: names of further measured inputs.
+        cycles: the mixed logs that the tests are strokes of, in which end stops are looked for.
 
     Raises:
         InputError: every test of the direction is held out or left out.
@@ -109,7 +117,9 @@ def prepare(
     if not records:
         refuse(without_covariate, f"{direction} tests")
     sign = _direction(records, direction)
-    end_stop, contacts = _end_stop(records, direction, sign)
+    known = campaign.end_stop(sign)
+    stop = find_end_stop(cycles or records, direction, sign, known)
+    end_stop = known if stop is None else stop.position
     records, at_end_stop = split_usable(
         _by_name(records), lambda record: _check_before_end_stop(record, sign, end_stop), strict=strict
     )
@@ -125,9 +135,19 @@ def prepare(
             "the direction is identified as measured"
         )
     if end_stop is not None:
+        reached = () if stop is None else stop.reached
+        names = f" ({', '.join(reached)})" if reached else ""
+        logs = f"{len(cycles)} logs" if cycles else f"{total - len(without_covariate)} tests"
         notices.append(
-            f"end stop at {end_stop:.4g} {records[0].unit}, reached in {contacts} of "
-            f"{total - len(without_covariate)} tests; samples at it are left out"
+            f"end stop at {end_stop:.4g} {records[0].unit}{', as given' if known is not None else ''}, "
+            f"reached in {len(reached)} of {logs}{names}; samples at it are left out"
+        )
+    updates = [update_interval(record, quality(record)) for record in cycles or records]
+    update_s = max((interval for interval in updates if interval is not None), default=0.0)
+    if update_s:
+        notices.append(
+            f"the displacement is updated every {update_s:.3g} s but logged every {campaign.step_s:.3g} s: "
+            "delays are known no better than that"
         )
     signals = [_test_signals(record, direction, sign, end_stop) for record in records]
     if dead_zone is None:
@@ -157,6 +177,7 @@ def prepare(
         validation_names=tuple(records[row].name for row in validation_rows),
         notices=tuple(notices),
         left_out=tuple(left_out),
+        update_s=update_s,
     )
 
 
@@ -269,28 +290,3 @@ def _direction(records: Sequence[Record], direction: str) -> int:
         for record in records
     )
     return 1 if correlation >= 0 else -1
-
-
-def _end_stop(records: Sequence[Record], direction: str, sign: int) -> tuple[float | None, int]:
-    """Return the displacement at which tests come to stand under command, and the number of these tests.
-
-    An end stop is one place, and the farthest: at least two tests must stand within 2 % of the range of all
-    displacements of their median, and none may go farther beyond it.
-    """
-    contacts = [(record, end_stop_contact(record, direction)) for record in records]
-    levels = np.array(
-        [
-            np.median(record.displacement[contact_start:])
-            for record, contact_start in contacts
-            if contact_start is not None
-        ]
-    )
-    if levels.size < 2:
-        return None, 0
-    farthest = max(float(np.max(sign * record.displacement)) for record in records)
-    nearest = min(float(np.min(sign * record.displacement)) for record in records)
-    tolerance = STOP_AGREEMENT * (farthest - nearest)
-    level = float(np.median(levels))
-    agreeing = int(np.sum(np.abs(levels - level) <= tolerance))
-    is_farthest = farthest - sign * level <= tolerance
-    return (level, agreeing) if agreeing >= 2 and is_farthest else (None, 0)

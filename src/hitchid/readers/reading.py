@@ -12,8 +12,10 @@ from hitchid.data.content import Content
 from hitchid.data.left_out import LeftOut, refuse, split_usable
 from hitchid.data.log_records import records_of
 from hitchid.data.log_table import LogTable, table_of
-from hitchid.data.record import Record
+from hitchid.data.record import DISPLACEMENT, Record
 from hitchid.data.signal_map import CampaignFile, SignalMap
+from hitchid.data.units import conversion_factor
+from hitchid.errors import InputError
 from hitchid.readers.content import ChannelSelection
 from hitchid.readers.folders import find_logs, settings_of
 from hitchid.readers.formats import format_of, known_format, record_name
@@ -108,11 +110,29 @@ def assemble(
         left_out=left_out,
         strict=strict,
     )
+    end_stops = _end_stops(distinct_records, settings, campaign)
     patterns = {pattern for split in splits for pattern in split.test} - matched
     unmatched = {
         p for p in patterns if not any(fnmatchcase(left_out_log.name, p) for left_out_log in left_out)
     }
-    return replace(campaign, unmatched=tuple(sorted(unmatched)))
+    return replace(campaign, unmatched=tuple(sorted(unmatched)), end_stops=end_stops)
+
+
+def _end_stops(
+    records: Sequence[Record], settings: Mapping[Path, CampaignFile], campaign: Campaign
+) -> tuple[float, float] | None:
+    """Return the end stops that the settings of the folders give, in the unit of the campaign."""
+    unit, stops = campaign.units[DISPLACEMENT], {}
+    for record in records:
+        given = settings[record.source.parent].end_stops if record.source is not None else None
+        if given is not None:
+            factor = conversion_factor(record.unit, unit, f"end_stops of '{record.name}'")
+            low, high = (float(f"{factor * position:.12g}") for position in given)
+            stops[low, high] = record.name
+    if len(stops) > 1:
+        texts = [f"[{low:g}, {high:g}] of '{name}'" for (low, high), name in stops.items()]
+        raise InputError(f"end_stops: expected the same in all folders, got {' and '.join(texts)} in {unit}")
+    return next(iter(stops), None)
 
 
 def read_log(path: Path, settings: CampaignFile, process: ReaderProcess) -> list[Record]:
