@@ -85,7 +85,7 @@ def propose(logs: str | Path | Iterable[str | Path]) -> str:
         (content, {name: np.asarray(channel.clock_s) for name, channel in content.channels.items()})
         for content in contents
     ]
-    names = [name for name in reference.channels if name != time.name and _usable(name, contents)]
+    names = [name for name in contents[0].channels if name != time.name and _usable(name, contents)]
     log_windows = windows(timed, names) if names else Windows({}, {}, np.zeros(0, dtype=bool))
     guesses = sorted(_guesses(log_windows, names, contents), reverse=True)
     if not guesses:
@@ -99,7 +99,12 @@ def propose(logs: str | Path | Iterable[str | Path]) -> str:
 
 def _time(contents: Sequence[Content]) -> _Time:
     """Return the column that increases in every log, preferably one named as a time."""
-    first = contents[0].channels
+    longest = max((c.values.size for c in contents[0].channels.values()), default=0)
+    first = {
+        name: c
+        for name, c in contents[0].channels.items()
+        if c.clock_s is not None or c.values.size == longest
+    }
     if all(channel.clock_s is not None for channel in first.values()):
         return _Time(None, "s", "")
     increasing = [
@@ -139,6 +144,8 @@ def _with_clocks(content: Content, time: _Time) -> Content:
     channels = {}
     for name, channel in content.channels.items():
         clock = np.asarray(channel.clock_s) if stamps is None else stamps
+        if clock.size != channel.values.size:  # no signal over time, such as a vector of parameters
+            continue
         finite = np.isfinite(channel.values) & np.isfinite(clock)
         channels[name] = LogChannel(
             channel.values[finite], channel.unit, np.maximum.accumulate(clock[finite])
