@@ -353,6 +353,120 @@ def test_commas_that_may_be_thousands_are_refused(log):
         assert content.channels["p"].values[2] == 1.0
 
 
+@pytest.fixture
+def short_blocks(monkeypatch):
+    """Let a log of some hundred lines be one of many blocks."""
+    for name in ("HEAD", "BLOCK"):
+        monkeypatch.setattr(f"hitchid.readers.formats.csv.{name}", 2**12)
+
+
+@pytest.mark.usefixtures("short_blocks")
+@pytest.mark.parametrize("above", [5, 300, 3000])
+def test_thousands_that_appear_late_are_refused(log, above):
+    rows = "".join(f"{k}\t{k % 3}\t{k % 900}\n" for k in range(above))
+    with pytest.raises(LogError, match=r"column 'p': '1,006' is ambiguous"):
+        read(log("time_s\tu_A\tp\n" + rows + "0\t1\t1,006\n"), ChannelSelection("time_s", ("p",)))
+
+
+@pytest.mark.parametrize(
+    ("cells", "values"),
+    [
+        (("0.5", "999", "1,317"), (0.5, 999, 1317)),  # the point elsewhere is decimal
+        (("1", "999", "1,234,567"), (1, 999, 1_234_567)),
+        (("1", "999.5", "1,234.5"), (1, 999.5, 1234.5)),
+        (("0,5", "999", "1.234,5"), (0.5, 999, 1234.5)),
+        (("1", "1\u00a0317,5", "1'317"), (1, 1317.5, 1317)),
+    ],
+)
+def test_thousands_that_nothing_else_can_be_are_read(log, cells, values):
+    text = "time_s;p\n" + "".join(f"{k};{cell}\n" for k, cell in enumerate(cells))
+    content = read(log(text), ChannelSelection("time_s", ("p",)))
+    np.testing.assert_array_equal(content.channels["p"].values, values)
+
+
+@pytest.mark.usefixtures("short_blocks")
+@pytest.mark.parametrize("late", [300, 3000])
+def test_a_decimal_comma_that_appears_late_is_one(log, late):
+    rows = "".join(f"{k};7\n" for k in range(late))
+    content = read(log(f"time_s;p\n{rows}{late};12,5\n"), ChannelSelection("time_s", ("p",)))
+    assert content.channels["p"].values[-1] == 12.5
+    with pytest.raises(LogError, match=rf"line {late + 3}: column 'p': .*decimal comma.*'12.5'"):
+        read(log(f"time_s;p\n{rows}{late};12,5\n0;12.5\n"), ChannelSelection("time_s", ("p",)))
+
+
+def test_whole_numbers_beside_three_decimals_are_refused_with_a_point_too(log):
+    rows = "".join(f"{k},{cell}\n" for k, cell in enumerate(["998", "999", "1.000", "1.001"] * 5))
+    with pytest.raises(LogError, match="a decimal point or a thousands separator"):
+        read(log("time_s,p\n" + rows), ChannelSelection("time_s", ("p",)))
+
+
+def test_no_cut_of_the_last_row_passes_for_a_sample(log):
+    fixed = HEADER + "\n" + "".join(f"{k / 100:.2f},{k % 3},{k * 1.2345 + 10:.4f}\n" for k in range(30))
+    whole = read_table(log(fixed)).channels
+    last_row = len(fixed.splitlines()[-1])
+    for cut in range(1, last_row + 1):
+        content = read_table(log(fixed[:-cut]))
+        rows = 30 if cut == 1 else 29
+        for name, channel in content.channels.items():
+            assert same_bits(channel.values, whole[name].values[:rows])
+        assert len(content.notices) == 1
+
+
+@pytest.mark.parametrize("zeros", [1, 4096, 5_000_000])
+def test_zero_bytes_cost_the_rows_they_touch_and_no_memory(log, zeros):
+    row = PLAIN.index(ROWS[9])
+    for position in (row, row + 3, len(PLAIN)):
+        text = PLAIN[:position].encode() + bytes(zeros) + PLAIN[position:].encode()
+        content = read_table(log(text))
+        rest = [k for k in range(30) if k != 9 or position == len(PLAIN)]
+        for name, samples in WANTED.items():
+            assert same_bits(content.channels[name].values, samples[rest])
+        (notice,) = [notice for notice in content.notices if "zero bytes" in notice]
+        assert f"line {11 if position < len(PLAIN) else 32}" in notice
+
+
+def test_lines_without_end_and_archives_without_measure_are_refused(log, monkeypatch):
+    for text in (PLAIN + "1," * 300_000, "name," * 300_000 + "\n" + PLAIN):
+        with pytest.raises(LogError, match=r"line \d+: is longer than \d+ characters"):
+            read_table(log(text))
+    monkeypatch.setattr("hitchid.readers.formats.csv.ALWAYS_ALLOWED_BYTES", 2**20)
+    packed = gzip.compress((HEADER + "\n" + "0,0,0\n" * 2**19).encode(), compresslevel=1)
+    with pytest.raises(LogError, match="unpacks to more than 50 times its size"):
+        read_table(log(packed, "log.csv.gz"))
+
+
+def test_a_table_of_a_data_logger_is_read_by_its_second_row(log):
+    rows = "".join(f'"2023-05-01 12:00:0{k}.5",{k},0,{2 * k}\n' for k in range(9))
+    head = '"TOA5","rig","CR6"\n"TIMESTAMP","RECORD","u","x"\n"TS","RN","A","mm"\n"","","Smp","Smp"\n'
+    channels = read(log(head + rows), ChannelSelection("", None)).channels
+    assert list(channels) == ["TIMESTAMP", "RECORD", "u", "x"]
+    assert [channel.unit for channel in channels.values()] == ["s", "RN", "A", "mm"]
+    np.testing.assert_array_equal(channels["TIMESTAMP"].values, np.arange(9))
+
+
+@pytest.mark.parametrize("units", ["s;%;%", ";%;%", "[s];[%];[%]", "%;%;%"])
+def test_a_row_of_percents_is_a_row_of_units(log, units):
+    rows = "".join(f"{k};{k};{k}\n" for k in range(30))
+    channels = read(log(f"t;u;x\n{units}\n{rows}"), ChannelSelection("t", ("u", "x"))).channels
+    assert [channels[name].unit.strip("[]") for name in "ux"] == ["%", "%"]
+    assert channels["x"].values.size == 30
+
+
+def test_text_in_utf_16_needs_no_mark(log):
+    for encoding in ("utf-16-le", "utf-16-be"):
+        assert same_bits(read_table(log(PLAIN.encode(encoding))).channels["time_s"].values, WANTED["time_s"])
+
+
+def test_a_few_cells_that_are_no_number_are_left_out_and_told(log):
+    rows = [f"{k},{k},{k}" for k in range(300)]
+    rows[7] = "7,7l,7"
+    content = read_table(log("\n".join([HEADER, *rows, ""])))
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(content.channels["current_up_A"].values)), [7])
+    (notice,) = content.notices
+    assert "1 of 300 cells" in notice
+    assert "line 9: column 'current_up_A': expected a number, got '7l'" in notice
+
+
 def test_a_last_line_without_an_end_is_told(log):
     wanted = ChannelSelection(NAMES[0], NAMES[1:])
     assert read(log(PLAIN), wanted).notices == ()

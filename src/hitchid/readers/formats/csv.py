@@ -23,7 +23,7 @@ from hitchid.errors import LogError
 from hitchid.readers.content import ALWAYS_ALLOWED_BYTES, ChannelSelection, no_such_channel
 from hitchid.readers.formats import lvm
 from hitchid.readers.formats.columns import Columns
-from hitchid.readers.formats.dialect import Dialect, check_width, dialect_of, encoding_of
+from hitchid.readers.formats.dialect import ZEROS, Dialect, check_width, dialect_of, encoding_of
 from hitchid.readers.formats.numerals import NUMBER, Numerals
 
 SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".lvm")
@@ -31,8 +31,8 @@ HEAD, BLOCK = 2**22, 2**22  # bytes: beginning that decides the dialect; part pa
 # Characters of the longest line, ten of which are in the head: a sample of ten thousand channels; chosen.
 LONGEST_LINE = 2**18
 MAX_TEXT_RATIO = 50  # unpacked bytes a packed one; text logs have 5 to 20 (chosen)
+LAST_ROWS = 100  # rows with which one without a line end is compared (chosen)
 NO_FINAL_NEWLINE = "the final newline is missing: the last line may be truncated"
-NUL_RUN = re.compile(rb"\0+")
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
@@ -58,12 +58,15 @@ def read(path: Path, selection: ChannelSelection) -> Content:
     indices = [_column_index(path, dialect, name) for name in names]
     columns = Columns(path, names, strict=bool(requested), header=dialect.header)
     zero_lines: list[int] = []
+    others: list[list[str]] = []
     for first, block in _blocks_from_line(chain([head], blocks), dialect.first):
         lines, rows = _rows(path, dialect, first, block, zero_lines)
         if rows and not block.endswith("\n"):
-            columns.notices.append(_end_notice(dialect, rows, lines[-1]))
+            columns.notices.append(_end_notice(dialect, [*others, *rows], lines[-1]))
+            rows = rows[: -1 if columns.notices[-1] != NO_FINAL_NEWLINE else None]
         if not rows:
             continue
+        others = rows[-LAST_ROWS:]
         if len(max(rows, key=len)) > len(dialect.names) or dialect.separator == " ":
             check_width(
                 path, dialect.separator, dialect.names, zip(lines, rows, strict=False), dialect.header
@@ -121,7 +124,7 @@ def _cells(rows: Sequence[Sequence[str]], index: int) -> list[str]:
 
 
 def _end_notice(dialect: Dialect, rows: list[list[str]], line: int) -> str:
-    """Return the notice on a last row without a line end; remove the row if it is cut.
+    """Return the notice on a last row without a line end, NO_FINAL_NEWLINE if it seems whole.
 
     It is cut if cells are missing, or digits behind the decimal sign that all other rows have.
     """
@@ -131,7 +134,6 @@ def _end_notice(dialect: Dialect, rows: list[list[str]], line: int) -> str:
     width = min(map(len, others), default=len(dialect.names))
     if len(last) >= width and (not decimals or _decimals(last[column]) >= decimals):
         return NO_FINAL_NEWLINE
-    rows.pop()
     return f"the last line, {line}, is left out: it is cut"
 
 
@@ -274,5 +276,5 @@ def _decode_text(path: Path) -> Iterator[str]:
         decoder = io.IncrementalNewlineDecoder(text_decoder, translate=True)
         for chunk in chain([head], iter(partial(file.read, BLOCK), b"")):
             has_zeros = not is_wide and b"\0\0" in chunk
-            yield decoder.decode(NUL_RUN.sub(b"\0", chunk) if has_zeros else chunk)
+            yield decoder.decode(ZEROS.sub(b"\0", chunk) if has_zeros else chunk)
         yield decoder.decode(b"", final=True)

@@ -23,6 +23,7 @@ NO_UNIT_TEXT = ("1", "-")  # units of a ratio that may also be a sample or a mis
 UNIT_LABELS = ("unit", "units", "einheit", "einheiten")
 BRACKETS = re.compile(r"(.+?)\s*[\[(]([^\[\]()]*)[\])]")
 COMMENT_MARK = re.compile(r"^[#%]+\s*(?=\w)")
+ZEROS = re.compile(rb"\0+")
 CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 BYTE_ORDER_MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 
@@ -68,7 +69,8 @@ def encoding_of(head: bytes, source: Path) -> str:
     start = head[:WIDE_START]
     if len(start) == WIDE_START and any(start[k::2].count(0) == WIDE_START // 2 for k in (0, 1)):
         return "utf-16-le" if start[1] == 0 else "utf-16-be"
-    text = head[: head.rfind(b"\n") + 1] or head
+    # What lost power wrote says nothing about the rest.
+    text = ZEROS.sub(b"\0", head[: head.rfind(b"\n") + 1] or head)
     try:
         text.decode()
         encoding, readable = "utf-8", True

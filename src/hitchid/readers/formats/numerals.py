@@ -91,6 +91,7 @@ class Numerals:
         """
         if self.sign is not None:
             return
+        columns = {name: DIGIT_GROUPS.sub("", text) for name, text in columns.items()}
         for sign, patterns in SIGNS.items():
             for text in columns.values():
                 if sign in text and patterns.decimal.search(text):
