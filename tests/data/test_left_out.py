@@ -69,7 +69,7 @@ def spoil(folder, name, kind):
 
 KINDS = {
     "unreadable": "",
-    "not finite": "nan",
+    "not finite": "no numbers",
     "lacks a column": "displacement_mm",
     "too short": "14 samples",
     "stands": "constant",

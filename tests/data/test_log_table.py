@@ -235,14 +235,21 @@ def test_a_time_in_a_unit_of_something_else_is_refused(unit):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_a_time_that_is_not_finite_is_refused_with_its_place_and_count(value):
-    given, name = content("mm"), "t"
-    spoiled = given.channels[name].values.copy()
+def test_rows_without_a_time_are_left_out_with_their_place_and_count(value):
+    spoiled = STAMPS.copy()
     spoiled[[4, 9]] = value
-    channels = {**given.channels, name: given.channels[name]._replace(values=spoiled)}
-    said = refused(Content(SOURCE, channels, line_of=lambda sample: 100 + sample), signal_map("x", "mm"))
-    for part in ("line 104", f"column '{name}'", f"got {value}", "2 of 30", "at sample 4"):
-        assert part in said
+    channels = content("mm", t=LogChannel(spoiled)).channels
+    table = table_of(Content(SOURCE, channels, line_of=lambda sample: 100 + sample), signal_map("x", "mm"))
+    rest = np.delete(np.arange(30), [4, 9])
+    assert table.time_s.tobytes() == STAMPS[rest].tobytes()
+    assert table.signals["displacement"].tobytes() == STROKE[rest].tobytes()
+    assert [table.line_of(row) for row in (3, 4, 27)] == [103, 105, 129]
+    (notice,) = table.notices
+    assert "2 of 30 rows are left out, the first in line 104" in notice
+    spoiled[:] = value
+    assert "line 100: column 't'" in refused(
+        Content(SOURCE, channels, line_of=lambda sample: 100 + sample), signal_map("x", "mm")
+    )
 
 
 def test_a_channel_of_another_length_than_the_time_is_refused():

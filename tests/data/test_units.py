@@ -102,6 +102,39 @@ def test_cylinder_1_and_the_lowest_value_are_no_units(unit):
     assert unit_of_column(f"stroke_{unit}") is None
 
 
+@pytest.mark.parametrize(
+    ("column", "unit"),
+    [
+        ("STROKE_MM", "mm"),
+        ("Stroke_IN", "in"),
+        ("P_BAR", "bar"),
+        ("valve_pct", "percent"),
+    ],
+)
+def test_a_column_name_may_say_its_unit_in_any_case(column, unit):
+    assert unit_of_column(column) == unit
+
+
+IN_ANY_CASE = {
+    "in": ("IN", '"', "in.", "Inch"),
+    "mm": ("MM", "Mm"),
+    "um": ("\u00b5m", "\u03bcM"),
+    "mA": ("MA", "ma"),
+    "bar": ("BAR",),
+    "kPa": ("KPA",),
+    "deg": ("DEG", "\u00b0"),
+    "s": ("SEC", "S"),
+    "percent": ("(%)", "PERCENT"),
+}
+
+
+@pytest.mark.parametrize(
+    ("spelling", "unit"), [(spelling, unit) for unit, texts in IN_ANY_CASE.items() for spelling in texts]
+)
+def test_units_are_known_in_any_case(spelling, unit):
+    assert parse_unit(spelling) == unit
+
+
 @given(units)
 def test_a_unit_is_known_by_itself_and_in_brackets(unit):
     assert parse_unit(unit) == parse_unit(f" [{unit}] ") == unit
@@ -113,11 +146,13 @@ def test_every_spelling_means_a_unit_there_is(spelling):
     assert SPELLINGS[spelling] in UNITS
 
 
-@pytest.mark.parametrize("spelling", ["", "S", "MM", "kNm", "degF", "l/h", "furlong"])
+@pytest.mark.parametrize("spelling", ["", "kNm", "degF", "l/h", "furlong", "M M"])
 def test_a_unit_that_is_not_known_is_none(spelling):
     assert parse_unit(spelling) is None
 
 
-@pytest.mark.parametrize("column", ["mm", "stroke", "stroke_", "stroke_MM", "stroke_mm_", "strokemm", ""])
+@pytest.mark.parametrize(
+    "column", ["mm", "stroke", "stroke_", "valve_a", "side_v", "stroke_mm_", "strokemm", ""]
+)
 def test_a_name_without_a_known_unit_at_its_end_says_none(column):
     assert unit_of_column(column) is None

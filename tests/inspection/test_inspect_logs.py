@@ -94,6 +94,17 @@ def test_a_log_at_fault_does_not_hide_the_others(write_log):
         assert fault.startswith(f"{folder / name}.csv: ")
 
 
+def test_a_column_that_all_logs_miss_is_one_fault_that_names_what_proposes_it(tmp_path):
+    for name in "abcd":
+        rows = "".join(f"{0.01 * k},{k},0\n" for k in range(50))
+        (tmp_path / f"{name}.csv").write_text("time_s,valve,piston\n" + rows)
+    (fault,) = inspect(tmp_path).faults
+    assert "a.csv" in fault
+    assert "'current_up_A'" in fault or "'displacement_mm'" in fault
+    assert f"hitchid inspect {tmp_path} --propose" in fault
+    assert "3 more logs" in fault
+
+
 def test_faults_alone_leave_no_records(write_log):
     folder = write_log("a", pulse()[:5])
     found = inspect(folder)

@@ -73,6 +73,30 @@ def test_every_guess_has_its_reason_before_it(logs):
     assert all(lines[at - 1].startswith("# ") for at in guesses)
 
 
+CLOCKS = {  # value of the first stamp, stamps in a second, unit
+    "spreadsheet": (46086.5, 1 / 86400, "d"),
+    "matlab": (738_886.0, 1 / 86400, "d"),
+    "seconds since 1970": (1.7e9, 1.0, "s"),
+    "milliseconds since 1970": (1.7e12, 1e3, "ms"),
+    "microseconds": (0.0, 1e6, "us"),
+}
+
+
+@pytest.mark.parametrize(("zero", "factor", "unit"), CLOCKS.values(), ids=CLOCKS.keys())
+def test_the_clock_is_told_from_its_size_and_missing_samples_do_no_harm(tmp_path, zero, factor, unit):
+    log = {name: samples for name, samples in a_log(0, up=True).items() if name != "noise"}
+    log["Zeit"] = zero + factor * log.pop("clock")
+    log["stroke_mm"][100:150] = np.nan
+    log["duty_up"][7] = np.nan
+    log["empty"] = np.full(1000, np.nan)
+    write_table(tmp_path / "log.csv", log)
+    signals = tomllib.loads(propose(tmp_path))["signals"]
+    assert signals["time"] == column("Zeit", unit)
+    assert signals["lifting_command"] == column("duty_up", "percent")
+    assert signals["lowering_command"] == column("duty_dn", "percent")
+    assert signals["displacement"] == column("stroke_mm", "mm")
+
+
 def test_logs_without_motion_are_refused_with_what_was_found(tmp_path):
     still = {"t": STEP_S * np.arange(100), "a": np.zeros(100), "b": np.ones(100)}
     write_table(tmp_path / "log.csv", still)

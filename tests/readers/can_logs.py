@@ -48,7 +48,13 @@ def frame(stamp_s, identifier, data, *, bus=1):
 
 def logged(frames, path):
     """Write frames as a log of the kind its name ends in, and return its path."""
-    writer = {".asc": can.ASCWriter, ".blf": can.BLFWriter, ".mf4": MF4Writer}[path.suffix]
+    writer = {
+        ".asc": can.ASCWriter,
+        ".blf": can.BLFWriter,
+        ".mf4": MF4Writer,
+        ".trc": can.TRCWriter,
+        ".log": can.CanutilsLogWriter,
+    }[path.suffix]
     with writer(path) as log:
         for stamp_s, bus, identifier, extended, data in frames:
             log(
@@ -58,8 +64,8 @@ def logged(frames, path):
                     is_extended_id=extended,
                     data=data,
                     is_error_frame=data is None,
-                    # python-can counts buses from 0; in MF4 it stores that, in the others one more.
-                    channel=bus if path.suffix == ".mf4" else bus - 1,
+                    # python-can counts buses from 0; in some formats it stores one more.
+                    channel=bus - 1 if path.suffix in (".asc", ".blf", ".trc") else bus,
                     is_fd=data is not None and len(data) > 8,
                 )
             )

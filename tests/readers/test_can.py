@@ -10,12 +10,14 @@ import pytest
 from can_logs import EXTENDED, PROTOCOL, frame, logged, marked, message, truth, wanted, write_dbc
 
 from hitchid.errors import LogError
+from hitchid.readers.formats import known_format
 from hitchid.readers.formats.can import SUFFIXES, is_bus_log, read, read_bus, read_mf4
 from hitchid.readers.formats.can.bits import available
 from hitchid.readers.formats.can.database import CanSignal, parameter_group
 from hitchid.readers.formats.can.streams import Frame
 
-KINDS = (".asc", ".blf", ".mf4")
+KINDS = (".asc", ".blf", ".mf4", ".trc", ".log")
+ALL_FRAMES = tuple(kind for kind in KINDS if kind != ".trc")  # python-can writes no others to it
 EPS = float(np.finfo(float).eps)
 PLAIN = (
     message(
@@ -151,7 +153,7 @@ def test_without_a_wish_every_signal_that_comes_is_read_under_its_full_name(plai
     assert list(read_bus(only, source, wanted(databases=[plain])).channels) == ["Other/Speed"]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ALL_FRAMES)
 def test_frames_of_64_bytes_are_read(tmp_path, kind):
     database = write_dbc(tmp_path / "fd.dbc", message(7, "F", 'x : 480|16@1+ (1,0) [0|0] "" ECU', length=64))
     frames = [frame(0.01 * n, 7, bytes(60) + struct.pack("<HH", 1000 + n, 0)) for n in range(5)]
@@ -433,7 +435,7 @@ def test_a_signal_of_more_than_64_bits_is_no_number(tmp_path, source):
 # --- what is left out, what is refused --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ALL_FRAMES)
 def test_error_frames_and_short_frames_are_counted(tmp_path, plain, kind):
     frames = [frame(0.01 * n, 0x123, bytes([n] * 8)) for n in range(5)]
     frames[2] = frames[2]._replace(data=bytes(5))
@@ -674,6 +676,33 @@ def test_a_line_that_misses_bytes_is_left_out(tmp_path, plain):
     content = read(tmp_path / "log.asc", wanted("Speed", databases=[plain]))
     np.testing.assert_array_equal(content.channels["Speed"].values, [1, 2, 4, 5])
     assert content.notices == ("'Other': 1 of 5 frames are left out: shorter than 8 bytes",)
+
+
+CANDUMPS = {
+    "log file": "(1700000000.01{n}000) can0 200#0{n}00000000000000\n",
+    "directions": "(1700000000.01{n}000) can0 200#0{n}.00.00.00.00.00.00.00 R\n",
+    "flexible data rate": "(1700000000.01{n}000) can0 200##10{n}00000000000000\n",
+    "printed": " (1700000000.01{n}000)  can0  200   [8]  0{n} 00 00 00 00 00 00 00\n",
+    "printed in full": " (1.01{n}000)  vcan0  TX B -  200   [8]  0{n} 00 00 00 00 00 00 00   '........'\r\n",
+}
+
+
+@pytest.mark.parametrize("line", CANDUMPS.values(), ids=CANDUMPS.keys())
+def test_what_candump_writes_is_read_and_a_cut_line_left_out(tmp_path, plain, line):
+    lines = "".join(line.replace("{n}", str(n)) for n in range(1, 6))
+    for text, notices in ((lines, 0), (lines + line.replace("{n}", "6")[:40], 1), ("# rig 1\n" + lines, 1)):
+        (tmp_path / "log.log").write_text(text)
+        content = read(tmp_path / "log.log", wanted("Speed", databases=[plain]))
+        np.testing.assert_array_equal(content.channels["Speed"].values, [1, 2, 3, 4, 5])
+        np.testing.assert_allclose(content.channels["Speed"].clock_s, 0.001 * np.arange(5), rtol=0, atol=1e-6)
+        assert len(content.notices) == notices
+
+
+def test_a_text_that_ends_in_log_is_a_log_only_if_candump_wrote_it(tmp_path):
+    (tmp_path / "server.log").write_text("2026-11-21 12:00:00 started\n" * 30)
+    (tmp_path / "bus.log").write_text(CANDUMPS["log file"].replace("{n}", "1"))
+    assert known_format(tmp_path / "server.log") is None
+    assert known_format(tmp_path / "bus.log") is not None
 
 
 def test_relative_stamps_are_refused(tmp_path, plain):

@@ -63,6 +63,34 @@ def test_doubles_are_read_bit_for_bit(log, options, filters):
         assert content.channels[name].values.tobytes() == values.tobytes()
 
 
+@pytest.mark.parametrize("turned", [False, True], ids=["rows are samples", "columns are samples"])
+@pytest.mark.parametrize("named", [False, True])
+def test_columns_of_tables_are_channels(log, turned, named):
+    table = np.random.default_rng(0).normal(size=(50, 3))
+
+    def fill(file):
+        dataset = file.create_dataset("bench/log", data=table.T if turned else table)
+        if named:
+            dataset.attrs["columns"], dataset.attrs["units"] = [b"t", b"u", b"x"], [b"s", b"A", b"mm"]
+
+    names = [f"bench/log/{name}" for name in "tux"] if named else [f"bench/log(:,{k})" for k in (1, 2, 3)]
+    assert list(read(log(fill), ALL).channels) == names
+    for wanted in (names, [f"bench/log(:,{k})" for k in (1, 2, 3)]):
+        channels = read(log(fill), ChannelSelection(wanted[0], tuple(wanted[1:]))).channels
+        assert [channel.unit for channel in channels.values()] == (["s", "A", "mm"] if named else [None] * 3)
+        for name, samples in zip(wanted, table.T, strict=True):
+            assert channels[name].values.tobytes() == samples.tobytes()
+
+
+def test_fields_of_compound_datasets_are_channels(log):
+    rows = np.zeros(5, dtype=[("t", "<f8"), ("count", ">i2"), ("note", "S3"), ("pair", "<f8", (2,))])
+    rows["t"], rows["count"] = 0.1 * np.arange(5), np.arange(5)
+    channels = read(log(lambda file: file.create_dataset("log", data=rows)), ALL).channels
+    assert list(channels) == ["log/t", "log/count"]
+    np.testing.assert_array_equal(channels["log/t"].values, 0.1 * np.arange(5))
+    np.testing.assert_array_equal(channels["log/count"].values, np.arange(5))
+
+
 def test_every_vector_of_real_numbers_is_listed_by_its_path(log):
     def fill(file):
         file["a"] = np.arange(4, dtype=">i2")
@@ -78,7 +106,7 @@ def test_every_vector_of_real_numbers_is_listed_by_its_path(log):
         file["pairs"] = np.zeros(3, dtype=[("x", float)])
 
     channels = read(log(fill), ALL).channels
-    assert sorted(channels) == ["a", "deep/c", "deep/er/b", "flag", "single"]
+    assert sorted(channels) == ["a", "deep/c", "deep/er/b", "flag", "pairs/x", "single"]
     np.testing.assert_array_equal(channels["deep/c"].values, np.float16([0.1, 0.2]))
     np.testing.assert_array_equal(channels["flag"].values, [1.0, 0.0])
     assert all(c.values.ndim == 1 and c.values.dtype == np.float64 for c in channels.values())

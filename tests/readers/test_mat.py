@@ -138,8 +138,27 @@ def test_tables_of_version_7_3_are_read_bit_for_bit(tmp_path, turned):
         assert content.channels[name].values.tobytes() == values.tobytes()
 
 
+@pytest.mark.parametrize("turned", [False, True], ids=["rows are samples", "columns are samples"])
+def test_columns_of_matrices_are_channels(saved, turned):
+    data = np.random.default_rng(0).normal(size=(SAMPLES, 3))
+    names = [f"data(:,{k})" for k in (1, 2, 3)]
+    path = saved({"data": data.T if turned else data})
+    assert list(read(path, ALL).channels) == names
+    channels = read(path, ChannelSelection(names[0], tuple(names[1:]))).channels
+    for name, samples in zip(names, data.T, strict=True):
+        np.testing.assert_array_equal(channels[name].values, samples)
+
+
+def test_columns_of_a_matrix_of_version_4_are_channels(tmp_path):
+    data = np.random.default_rng(0).normal(size=(SAMPLES, 3))
+    savemat(tmp_path / "log.mat", {"data": data}, format="4")
+    channels = read(tmp_path / "log.mat", ALL).channels
+    np.testing.assert_array_equal(np.array([channels[f"data(:,{k})"].values for k in (1, 2, 3)]), data.T)
+
+
 NO_VECTORS = {
-    "a matrix": np.ones((2, SAMPLES)),
+    "a square": np.ones((3, 3)),
+    "a cube": np.ones((2, 2, SAMPLES)),
     "one number": 3.0,
     "nothing": np.zeros(0),
     "text": "x" * SAMPLES,
@@ -231,6 +250,15 @@ def test_structures_with_time_of_simulink_bring_their_clock(saved, count):
     for channel in channels.values():
         np.testing.assert_array_equal(channel.clock_s, SIGNALS["t"])
         assert channel.clock_s is channels["out/time"].clock_s
+
+
+def test_signals_of_a_muxed_scope_bring_the_clock_of_all(saved):
+    time, values = 0.01 * np.arange(SAMPLES), np.random.default_rng(0).normal(size=(SAMPLES, 2))
+    path = saved({"scope": {"time": time, "signals": {"values": values, "label": "mux"}}})
+    channels = read(path, ChannelSelection("time_s", ("scope/mux(:,1)", "scope/mux(:,2)"))).channels
+    for name, samples in zip(("scope/mux(:,1)", "scope/mux(:,2)"), values.T, strict=True):
+        np.testing.assert_array_equal(channels[name].values, samples)
+        np.testing.assert_array_equal(channels[name].clock_s, time)
 
 
 def test_what_is_kept_in_another_file_is_refused(tmp_path):
@@ -339,7 +367,7 @@ REAL = {
     "testdouble_4.2c_SOL2": ["testdouble"],
     "testdouble_6.1_SOL2": ["testdouble"],
     "testdouble_7.4_GLNX86": ["testdouble"],
-    "testmulti_7.4_GLNX86": ["theta"],
+    "testmulti_7.4_GLNX86": ["a(:,1)", "a(:,2)", "a(:,3)", "theta"],
     "teststruct_7.4_GLNX86": ["teststruct/doublefield"],
     "testvec_4_GLNX86": ["fit_params", "xdot_filt"],
     "testbool_8_WIN64": ["testbools"],

@@ -258,13 +258,25 @@ def test_a_cut_names_where_it_is(tmp_path):
         read(tmp_path / "log.mf4", ALL)
 
 
-@pytest.mark.parametrize("change", [(0, b"UnFinMF "), (60, b"\x01")], ids=["by name", "by flag"])
-def test_an_unfinished_recording_is_refused(tmp_path, change):
+@pytest.mark.parametrize("change", [(0, b"UnFinMF "), (60, b"\x05")], ids=["by name", "by flags"])
+def test_a_recording_that_was_never_finalized_is_read_with_a_notice(tmp_path, change):
     write_table(tmp_path / "log.mf4", table())
     whole, (at, mark) = (tmp_path / "log.mf4").read_bytes(), change
     (tmp_path / "log.mf4").write_bytes(whole[:at] + mark + whole[at + len(mark) :])
+    content = read(tmp_path / "log.mf4", ALL)
+    (tmp_path / "whole.mf4").write_bytes(whole)
+    for name, channel in read(tmp_path / "whole.mf4", ALL).channels.items():
+        np.testing.assert_array_equal(content.channels[name].values, channel.values)
+        np.testing.assert_array_equal(content.channels[name].clock_s, channel.clock_s)
+    (notice,) = content.notices
+    assert "never finalized" in notice
+
+
+def test_a_recording_of_an_older_version_that_was_never_finalized_is_refused(log):
+    path = log(("g", [signal("x")]), version="4.00")
+    path.write_bytes(b"UnFinMF " + path.read_bytes()[8:])
     with pytest.raises(LogError, match=r"truncated: .*never finished"):
-        read(tmp_path / "log.mf4", ALL)
+        read(path, ALL)
 
 
 @pytest.mark.parametrize("version", ["3.30", "4.10"])

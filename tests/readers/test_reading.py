@@ -346,18 +346,20 @@ def test_the_shortest_log_is_read(folder):
     assert len(read(folder).records[0]) == MIN_SAMPLES
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_a_time_that_is_not_finite_is_refused_with_its_line_and_length(folder, value):
-    log, column = columns(), "time_s"
-    log[column][30:50] = value
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_stretch_without_a_time_is_cut_out_and_the_rest_used(folder, value):
+    log = columns()
+    log["time_s"][30:55] = value
     write_table(folder / "a.csv", log)
-    with pytest.raises(LogError) as caught:
-        read(folder)
-    for said in ("a.csv", "line 32", f"'{column}'", f"got {value}", "20", "100"):
-        assert said in str(caught.value)
+    (record,) = [record for record in read(folder).records if record.name == "a"]
+    np.testing.assert_allclose(record.signals["displacement"], 7.0 + 30.0 * record.time_s, rtol=1e-12)
+    assert len(record) == SAMPLES
+    notices = "; ".join(notice.sentence for notice in record.notices)
+    assert f"25 of {SAMPLES} rows are left out, the first in line 32" in notices
+    assert "the longest gap is 0.26 s" in notices
 
 
-@pytest.mark.parametrize(("column", "value"), [("current_up_A", "x"), ("time_s", "0.08")])
+@pytest.mark.parametrize(("column", "value"), [("displacement_mm", "1,2"), ("time_s", "0.08")])
 def test_blank_lines_do_not_shift_the_line_of_a_fault(folder, column, value):
     lines = (folder / "a.csv").read_text().splitlines()
     cells = lines[11].split(",")

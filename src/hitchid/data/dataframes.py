@@ -152,7 +152,7 @@ def _map_by_name(name: str, columns: Iterable[str]) -> SignalMap:
     found: dict[str, str] = {}
     for column in columns:
         unit = unit_of_column(column)
-        signal = STEMS.get(column.removesuffix(f"_{unit}"))
+        signal = STEMS.get(column if unit is None else column.rpartition("_")[0])
         if signal in found:
             raise LogError(
                 name,

@@ -56,6 +56,7 @@ def table_of(content: Content, signals: SignalMap) -> LogTable:
     Raises:
         LogError: a unit is missing or contradictory, a channel holds no number, or the clocks do not overlap.
     """
+    content = _with_stamps(content, signals.time.column)
     columns = _columns_by_role(signals, content)
     if TIME not in columns and signals.time.column != DEFAULT_SIGNALS.time.column:
         problem = (
@@ -91,6 +92,36 @@ def table_of(content: Content, signals: SignalMap) -> LogTable:
     )
 
 
+def _with_stamps(content: Content, time: str) -> Content:
+    """Return a log without the rows whose time stamp is missing."""
+    stamps = content.channels[time].values if time in content.channels else np.zeros(0)
+    rows = np.flatnonzero(np.isfinite(stamps))
+    if rows.size == stamps.size:
+        return content
+    if not rows.size:
+        problem = f"expected finite time stamps, got {stamps[0]} in all {stamps.size} samples"
+        raise LogError(content.source, problem, line=content.line_of(0), column=time)
+    channels = {
+        name: channel._replace(
+            values=channel.values[rows], clock_s=None if channel.clock_s is None else channel.clock_s[rows]
+        )
+        for name, channel in content.channels.items()
+        if channel.values.size == stamps.size
+    }
+    first = int(np.argmin(np.isfinite(stamps)))
+    line = content.line_of(first)
+    notice = (
+        f"{stamps.size - rows.size} of {stamps.size} rows are left out, the first in "
+        f"{f'sample {first}' if line is None else f'line {line}'}: they have no time stamp"
+    )
+    return Content(
+        content.source,
+        {**content.channels, **channels},
+        (*content.notices, notice),
+        _line_of_rows(content, rows),
+    )
+
+
 def _line_of_rows(content: Content, rows: np.ndarray) -> Callable[[int], int | None]:
     return lambda row: content.line_of(int(rows[row]))
 
@@ -112,8 +143,6 @@ def _convert_unit(content: Content, role: str, column: Column) -> tuple[LogChann
     """Return a channel as (reading − zero) · scale in the unit of the signal map, and the notices."""
     name, source = column.column, content.source
     channel = content.channels[name]
-    if role == TIME:
-        _check_finite(content, name)
     file_unit = parse_unit(channel.unit or "")
     declared_unit = column.unit or file_unit or unit_of_column(name) or (None if role in DIMENSIONS else "1")
     if declared_unit is None:
@@ -177,19 +206,6 @@ def _check_agrees(source: Path | str, name: str, declared_unit: str, file_unit: 
             source,
             f"the unit is '{file_unit}' in the log but '{declared_unit}' in the signal map; "
             "expected units of the same quantity",
-            column=name,
-        )
-
-
-def _check_finite(content: Content, name: str) -> None:
-    values = content.channels[name].values
-    bad = np.flatnonzero(~np.isfinite(values))
-    if bad.size:
-        raise LogError(
-            content.source,
-            f"expected finite numbers, got {values[bad[0]]} ({bad.size} of {values.size} samples, "
-            f"the first at sample {bad[0]})",
-            line=content.line_of(int(bad[0])),
             column=name,
         )
 

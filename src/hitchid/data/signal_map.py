@@ -223,7 +223,8 @@ def parse_settings(path: Path, model: type[Settings]) -> Settings:
         SettingsError: as `read_campaign_file`.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        with path.open(encoding="utf-8-sig") as stream:
+            text = stream.read(MAX_LENGTH + 1)
     except (OSError, ValueError) as error:  # no text, or a path no file can have
         raise SettingsError(f"{path}: cannot be read: {error}") from error
     content = parse_toml(text, path)

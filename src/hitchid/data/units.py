@@ -59,46 +59,47 @@ UNITS: dict[str, _Unit] = {
 # Units that are not read from the ending of a column name: cylinder_1, lowest value, height.
 NOT_COLUMN_SUFFIXES = ("1", "min", "h", "d")
 
-# Unit to its spellings in files, in lower case.
+# Unit to its further spellings in files, in lower case.
 _SPELLINGS_BY_UNIT = {
-    "percent": "% pct",
+    "percent": "% pct prozent",
     "1": "-",
     "A": "ampere amp amps",
     "V": "volt volts",
     "m": "meter metre",
-    "in": "inch",
-    "deg": "° degree degrees",
+    "in": "inch inches \" \u2033 ''",
+    "deg": "° º ˚ degree degrees grad",
     "rad": "radian radians",
-    "s": "sec second seconds secs",
+    "s": "sec second seconds secs sek sekunde sekunden",
     "ms": "msec millisecond milliseconds millisec millisecs",
     "us": "usec µs μs microsecond microseconds",
     "ns": "nsec nanosecond nanoseconds",
     "min": "minute minutes mins",
     "h": "hour hours hr hrs",
     "d": "day days",
-    "um": "µm μm",
+    "um": "µm μm micron microns",
     "mV": "millivolt",
-    "mA": "milliampere",
+    "mA": "milliampere milliamp milliamps",
     "mm": "millimeter millimetre",
-    "rpm": "rpm r/min rev/min",
+    "rpm": "r/min rev/min",
     "1/min": "u/min min-1 min^-1",
-    "Hz": "hz",
-    "l/min": "l/min lpm",
+    "l/min": "lpm",
     "m3/s": "m³/s m^3/s",
-    "kN": "kn",
     "N": "newton",
-    "degC": "°c celsius",
+    "degC": "°c ºc ℃ celsius",
     "K": "kelvin",
 }
-SPELLINGS = {spelling: unit for unit, text in _SPELLINGS_BY_UNIT.items() for spelling in text.split()}
+# Loggers write units in any case: in these dimensions no two units differ by it.
+SPELLINGS = {unit.lower(): unit for unit in UNITS} | {
+    spelling: unit for unit, text in _SPELLINGS_BY_UNIT.items() for spelling in text.split()
+}
 
 
 def parse_unit(spelling: str) -> str | None:
-    """Return the unit of a spelling in a file, such as `%` or `Volts`; None if it is unknown."""
+    """Return the unit of a spelling in a file, such as `%`, `MM` or `Volts`; None if it is unknown."""
     bare = spelling.strip().strip("[]()").strip()
     if bare in UNITS:
         return bare
-    return SPELLINGS.get(bare.lower())
+    return SPELLINGS.get(bare.removesuffix(".").lower())
 
 
 def check_unit(unit: str, where: str) -> str:
@@ -109,9 +110,12 @@ def check_unit(unit: str, where: str) -> str:
 
 
 def unit_of_column(column: str) -> str | None:
-    """Return the unit at the end of a column name (`stroke_mm` gives `mm`), or None."""
+    """Return the unit at the end of a column name (`stroke_mm` and `STROKE_MM` give `mm`), or None."""
     _, separator, suffix = column.rpartition("_")
-    return suffix if separator and suffix in UNITS and suffix not in NOT_COLUMN_SUFFIXES else None
+    # A single letter in the other case may count: valve_a, side_N.
+    unit = suffix if suffix in UNITS else SPELLINGS.get(suffix.lower()) if len(suffix) > 1 else None
+    is_unit = separator and unit is not None and suffix.lower() in (unit.lower(), "pct")
+    return unit if is_unit and unit not in NOT_COLUMN_SUFFIXES else None
 
 
 def conversion_factor(unit: str, target: str, where: str) -> float:

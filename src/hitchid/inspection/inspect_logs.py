@@ -1,11 +1,13 @@
 """Inspection of logs before an identification: kind, sampling, signals and faults of each log."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from hitchid._support.summary import count
 from hitchid.audit import audit, quality
 from hitchid.data.campaign import Campaign
+from hitchid.data.left_out import LeftOut
 from hitchid.data.not_measured import NOT_MEASURED
 from hitchid.data.record import CYCLE, DIRECTIONS
 from hitchid.data.segmentation import CommandThreshold, segments
@@ -40,7 +42,7 @@ def inspect(
     paths = find_logs(logs)
     settings = settings_of(paths, signals)
     records, unread = read_logs(paths, settings)
-    faults = tuple(str(item.error) for item in unread)
+    faults = _faults(unread)
     if not records:
         return Inspection(faults=faults)
     try:
@@ -50,6 +52,18 @@ def inspect(
         return Inspection(entries, faults=(*faults, str(error)))
     inspection = inspect_campaign(campaign, command_thresholds)
     return replace(inspection, faults=faults, left_out=()) if strict else inspection
+
+
+def _faults(unread: Sequence[LeftOut]) -> tuple[str, ...]:
+    """Return one sentence for each reason: a missing column is missing in every log of a campaign."""
+    by_reason: dict[str, list[LeftOut]] = {}
+    for item in unread:
+        by_reason.setdefault(item.reason, []).append(item)
+    others = {reason: count(len(items) - 1, "more log") for reason, items in by_reason.items() if items[1:]}
+    return tuple(
+        f"{items[0].error}" + (f"; the same in {others[reason]}" if reason in others else "")
+        for reason, items in by_reason.items()
+    )
 
 
 def inspect_campaign(campaign: Campaign, command_thresholds: ThresholdLookup | None = None) -> Inspection:

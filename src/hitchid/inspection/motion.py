@@ -10,6 +10,7 @@ from hitchid.readers import Content
 WINDOW_S = 0.2  # s, for means and rates: several lags of a common valve (chosen)
 WINDOW_SAMPLES = 3  # samples in a window, at least (chosen)
 LAGS = (0, 1)  # windows, lags from command to motion (chosen)
+MAX_STEP_RATIO = 10.0  # sampling times of the fastest channel; of one that decides the windows (chosen)
 MAX_CHANNELS = 80  # channels compared, to limit the time with hundreds on a bus (chosen)
 
 
@@ -54,19 +55,21 @@ def windows(logs: Sequence[tuple[Content, Mapping[str, np.ndarray]]], names: Seq
     rates: dict[str, list[np.ndarray]] = {name: [] for name in names}
     follows: list[np.ndarray] = []
     for content, times in logs:
-        slowest = max(float(np.median(np.diff(times[name]))) for name in names)
-        width = max(WINDOW_S, WINDOW_SAMPLES * slowest)
+        steps = {name: float(np.median(np.diff(times[name]))) for name in names}
+        # Rare channels, such as a command logged on change, hold; they do not decide the windows.
+        dense = [name for name in names if steps[name] <= MAX_STEP_RATIO * min(steps.values())]
+        width = max(WINDOW_S, WINDOW_SAMPLES * max(steps[name] for name in dense))
         begin = max(float(times[name][0]) for name in names)
-        end = min(float(times[name][-1]) for name in names)
+        end = min(float(times[name][-1]) for name in dense)
         edges = begin + width * np.arange(int((end - begin) / width) + 1)
         if edges.size < 2:
             continue
         follows.append(np.arange(edges.size - 1) > 0)
         for name in names:
             time, values = times[name], content.channels[name].values
-            steps = np.diff(time, append=time[-1])
-            # Zero-order hold: the integral is linear between samples.
-            integral = np.concatenate([[0.0], np.cumsum(values * steps)[:-1]])
+            time, values = np.append(time, max(time[-1], end)), np.append(values, values[-1])
+            # Zero-order hold, to the end of the log: the integral is linear between samples.
+            integral = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(time))])
             means[name].append(np.diff(np.interp(edges, time, integral)) / width)
             rates[name].append(np.diff(np.interp(edges, time, values)) / width)
     if not follows:

@@ -21,9 +21,10 @@ DOWN = _list("down dn lower lowering senken retract in fall ab")
 PRESSURE = _list("pressure press druck p")
 LOADED_SIDE = _list("head cap bottom piston h load")
 ANGLE = _list("angle ang winkel")
+VALVE = _list("valve ventil solenoid sol coil magnet spule")
 RATIO = _list("duty pwm percent pct ratio")
 CURRENT = _list("current curr strom")
-TIME = _list("time zeit timestamp t")
+TIME = _list("time zeit timestamp zeitstempel uhrzeit stamp datetime date datum t")
 ANALOG_V = 10.5  # V, range of a 10 V analogue input with 5 % margin
 SERVO_NEUTRAL = (6.5, 8.5)  # percent, around 7.5: neutral pulse of a servo, 1.5 ms of 20 ms (limits chosen)
 
@@ -64,7 +65,7 @@ def unit_of(
         )
     elif name_words & RATIO:
         guess = "percent" if largest > 1.05 else "1"
-    elif name_words & CURRENT:
+    elif name_words & CURRENT or (name_words & VALVE and largest > 105):
         guess = "A" if largest <= 5 else "mA"
     elif zero is not None and SERVO_NEUTRAL[0] < zero < SERVO_NEUTRAL[1]:
         guess = "percent"

@@ -1,6 +1,7 @@
 """Proposal of a `campaign.toml` from the channels of logs, every guess with its reason."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
 from typing import NamedTuple
@@ -9,6 +10,7 @@ import numpy as np
 
 from hitchid._support.inert import printable, toml_text
 from hitchid.audit import CommandResponse, rest_level
+from hitchid.data.content import LogChannel
 from hitchid.data.left_out import refuse, split_usable
 from hitchid.data.test_kinds import ACTIVE_FRACTION
 from hitchid.data.units import UNITS
@@ -18,7 +20,11 @@ from hitchid.inspection.motion import Windows, windows
 from hitchid.readers import ChannelSelection, Content, ReaderProcess, find_logs, read_content, settings_of
 
 MAX_LOGS, MAX_SHOWN = 24, 6  # logs read, evenly spread; pressures named (chosen)
-INCREASING_FRACTION = 0.99  # of the intervals of a time column, positive ones at least (chosen)
+# Of the intervals of a time column: not negative, and positive, at least (chosen).
+INCREASING_FRACTION, RISING_FRACTION = 0.99, 0.8
+# Days since 1900 or year 0 in logs of 1954 to 2119; longest sampling time of such dates, d, 8.6 s (chosen).
+DATES_D, LONGEST_DATE_STEP_D = ((20_000.0, 80_000.0), (713_000.0, 774_000.0)), 1e-4
+EPOCHS = (("s", 1e9), ("ms", 1e12), ("us", 1e15), ("ns", 1e18))  # least stamp since 1970 (2001) in a unit
 MAX_STEP_RATIO = 0.05  # mean one-step change over the range of a displacement, at most (chosen)
 # Correlation of each of two one-sided commands; least increase by combining them (chosen).
 MIN_PAIR_CORRELATION, MIN_PAIR_GAIN = 0.05, 0.02
@@ -74,8 +80,12 @@ def propose(logs: str | Path | Iterable[str | Path]) -> str:
     reference = max(contents, key=lambda log: sum(log.channels.keys() == c.channels.keys() for c in contents))
     contents = [log for log in contents if log.channels.keys() == reference.channels.keys()]
     time = _time(contents)
-    timed = [(content, _times(content, time)) for content in contents]
-    names = [name for name in reference.channels if name != time.name and _usable(name, contents)]
+    contents = [_with_clocks(content, time) for content in contents]
+    timed = [
+        (content, {name: np.asarray(channel.clock_s) for name, channel in content.channels.items()})
+        for content in contents
+    ]
+    names = [name for name in contents[0].channels if name != time.name and _usable(name, contents)]
     log_windows = windows(timed, names) if names else Windows({}, {}, np.zeros(0, dtype=bool))
     guesses = sorted(_guesses(log_windows, names, contents), reverse=True)
     if not guesses:
@@ -89,7 +99,12 @@ def propose(logs: str | Path | Iterable[str | Path]) -> str:
 
 def _time(contents: Sequence[Content]) -> _Time:
     """Return the column that increases in every log, preferably one named as a time."""
-    first = contents[0].channels
+    longest = max((c.values.size for c in contents[0].channels.values()), default=0)
+    first = {
+        name: c
+        for name, c in contents[0].channels.items()
+        if c.clock_s is not None or c.values.size == longest
+    }
     if all(channel.clock_s is not None for channel in first.values()):
         return _Time(None, "s", "")
     increasing = [
@@ -101,32 +116,47 @@ def _time(contents: Sequence[Content]) -> _Time:
             f"{contents[0].source}: no column increases like a time; check the columns: {', '.join(first)}"
         )
     name = increasing[0]
-    step = float(np.median(np.diff(first[name].values)))
+    stamps = first[name].values[np.isfinite(first[name].values)]
+    step = float(np.median(np.diff(stamps)))
     unit, reason = naming.stated_unit(name, first[name].unit)
-    if unit is None or UNITS[unit].dimension != "time":
-        unit = next((unit for unit, limit in STEPS_S if step < limit), "ns")
+    is_date = any(low < stamps[0] < high for low, high in DATES_D) and step < LONGEST_DATE_STEP_D
+    if is_date and unit in (None, "d"):
+        unit, reason = "d", "dates as days, as spreadsheets and MATLAB count them"
+    elif unit is None or UNITS[unit].dimension != "time":
+        epoch = next((unit for unit, start in EPOCHS if start < stamps[0] < 3 * start), None)
+        unit = epoch or next((unit for unit, limit in STEPS_S if step < limit), "ns")
         reason = "unit guessed from the step: check it"
     return _Time(name, unit, f"increases in every log, by {step:.4g} {unit} in the median; {reason}")
 
 
 def _is_increasing(values: np.ndarray) -> bool:
-    if values.size < 2 or not np.all(np.isfinite(values)) or not values[-1] > values[0]:
+    values = values[np.isfinite(values)]
+    if values.size < 2 or not values[-1] > values[0]:
         return False
-    return float(np.mean(np.diff(values) > 0)) >= INCREASING_FRACTION
+    # An event has a row of its own at the stamp of the row before.
+    rising, falling = float(np.mean(np.diff(values) > 0)), float(np.mean(np.diff(values) < 0))
+    return falling <= 1 - INCREASING_FRACTION and rising >= RISING_FRACTION
 
 
-def _times(content: Content, time: _Time) -> Mapping[str, np.ndarray]:
-    """Return channel to the time of its samples, s."""
-    if time.name is None:
-        return {name: np.asarray(channel.clock_s) for name, channel in content.channels.items()}
-    stamps = np.maximum.accumulate(content.channels[time.name].values) * UNITS[time.unit].factor
-    return dict.fromkeys(content.channels, stamps)
+def _with_clocks(content: Content, time: _Time) -> Content:
+    """Return a log whose channels hold the samples that are numbers, each with its time, s."""
+    stamps = None if time.name is None else content.channels[time.name].values * UNITS[time.unit].factor
+    channels = {}
+    for name, channel in content.channels.items():
+        clock = np.asarray(channel.clock_s) if stamps is None else stamps
+        if clock.size != channel.values.size:  # no signal over time, such as a vector of parameters
+            continue
+        finite = np.isfinite(channel.values) & np.isfinite(clock)
+        channels[name] = LogChannel(
+            channel.values[finite], channel.unit, np.maximum.accumulate(clock[finite])
+        )
+    return replace(content, channels=channels)
 
 
 def _usable(name: str, contents: Sequence[Content]) -> bool:
-    """Return whether a channel is finite and not constant."""
+    """Return whether a channel has samples and is not constant."""
     arrays = [content.channels[name].values for content in contents]
-    return all(a.size > 1 and np.all(np.isfinite(a)) for a in arrays) and any(np.ptp(a) > 0 for a in arrays)
+    return all(a.size > 1 for a in arrays) and any(np.ptp(a) > 0 for a in arrays)
 
 
 def _guesses(log_windows: Windows, names: Sequence[str], contents: Sequence[Content]) -> Iterator[_Guess]:
@@ -248,9 +278,10 @@ def _rest_reading(best: _Guess, timed: Sequence[tuple[Content, Mapping[str, np.n
     largest = max(float(np.abs(content.channels[command].values).max()) for content, _ in timed)
     runs = []
     for content, times in timed:
-        values, clock = content.channels[command].values, times[command]
-        displacement_samples = np.interp(clock, times[displacement], content.channels[displacement].values)
-        runs.append(CommandResponse(values, displacement_samples, float(np.median(np.diff(clock)))))
+        clock, samples = times[displacement], content.channels[displacement].values
+        held = np.maximum(np.searchsorted(times[command], clock, side="right") - 1, 0)
+        values = content.channels[command].values[held]
+        runs.append(CommandResponse(values, samples, float(np.median(np.diff(clock)))))
     level = rest_level(runs)
     return level if level is not None and abs(level) > ACTIVE_FRACTION * largest else None
 

@@ -95,7 +95,7 @@ class Inspection:
     Attributes:
         records: one entry per record.
         notices: changes made to logs in reading, each with its record as place.
-        faults: reasons why logs cannot be used, with file, line and column.
+        faults: reasons why logs cannot be used, each once, with file, line and column.
         findings: audit findings.
         left_out: logs that cannot be used, if others can.
     """

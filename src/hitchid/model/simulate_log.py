@@ -92,7 +92,7 @@ def simulate_log(
         )
     all_settings = settings_of([log], signals)
     text = read_rows(log) if log.name.lower().endswith(SUFFIXES) else None
-    names = () if text is None else text[0]
+    names = () if text is None else text.header
     settings = _with_signals(
         all_settings[log.parent], _required_signals(all_settings[log.parent].signals, model, names, initial)
     )
@@ -112,10 +112,16 @@ def simulate_log(
             f"{model.units[DISPLACEMENT]}",
             *notices,
         ]
-    header, rows = text or _as_text(table, settings.signals)
     base = f"displacement_{unit}" if measured is None else measured.column
     added = [added_name(base, kind) for kind in ("predicted", "lower", "upper")[: len(columns)]]
     cells = [["" if np.isnan(value) else f"{value:.9g}" for value in row] for row in columns.T.tolist()]
+    if text is None:
+        header, rows = _as_text(table, settings.signals)
+    else:
+        # Lines without a sample, such as comments, stay and have no prediction.
+        header, rows = text.header, text.rows
+        by_line = {table.line_of(sample): row_cells for sample, row_cells in enumerate(cells)}
+        cells = [by_line.get(line, [""] * len(columns)) for line in text.lines]
     all_rows = [[*row, *row_cells] for row, row_cells in zip(rows, cells, strict=True)]
     write_file(out, lambda path: write_rows(path, [*header, *added], all_rows), force=force)
     return SimulatedLog(int(np.count_nonzero(~np.isnan(columns[0]))), unit, tuple(notices))
@@ -151,16 +157,21 @@ def _read(log: Path, settings: CampaignFile, initial: InitialValues, *, free_run
     """Read a log, without its displacement where there is none and an initial one is given."""
     displacement = settings.signals.displacement
     with ReaderProcess() as process:
+        table = None
         try:
-            return read_table(log, settings, process)
+            table = read_table(log, settings, process)
         except LogError as error:
             if displacement is None or error.column != displacement.column:
                 raise
             if initial.displacement is None:
                 hint = "; without it, give the initial displacement: --initial" if free_run else ""
                 raise LogError(log, f"{error.problem}{hint}", line=error.line, column=error.column) from error
-        commands = settings.signals.model_copy(update={"displacement": None})
-        return read_table(log, _with_signals(settings, commands), process)
+        if table is not None and (displacement is None or initial.displacement is None):
+            return table
+        without = settings.signals.model_copy(update={"displacement": None})
+        commands = read_table(log, _with_signals(settings, without), process)
+        # Gaps of a displacement that is not used cut nothing out.
+        return commands if table is None or table.time_s.size < commands.time_s.size else table
 
 
 def _commands(name: str, table: LogTable, model: Hitch, signals: SignalMap) -> Record:

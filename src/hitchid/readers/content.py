@@ -10,7 +10,6 @@ from hitchid.errors import LogError
 MAX_LISTED = 30  # names in one message
 # Limits of unpacked logs: bytes a byte of the file, and a size that is always allowed, bytes; chosen.
 MAX_UNPACK_RATIO, ALWAYS_ALLOWED_BYTES = 200, 2**28
-CHANNEL_HINT = "name the channel in campaign.toml"
 
 
 @short_repr
@@ -70,13 +69,20 @@ def match_channels(
         if len(candidates) == 1:
             matches[requested] = candidates[0]
         elif is_required:
-            raise LogError(
-                source,
-                f"there is no such channel; {CHANNEL_HINT}; found {format_names(names)}",
-                column=requested,
-            )
+            raise no_such_channel(source, requested, names)
     _check_one_group(source, matches, selection.time)
     return matches
+
+
+def no_such_channel(
+    source: Path, requested: str, names: Sequence[str], *, kind: str = "channel", line: int | None = None
+) -> LogError:
+    """Return the error for a channel or column that a log does not have, with those it has."""
+    problem = (
+        f"there is no such {kind}; name it in campaign.toml, as `hitchid inspect {source.parent} --propose` "
+        f"proposes; found {format_names(names)}"
+    )
+    return LogError(source, problem, line=line, column=requested)
 
 
 def _check_one_group(source: Path, matches: Mapping[str, str], time: str) -> None:

@@ -24,6 +24,8 @@ class Format(NamedTuple):
         read: reads the selected channels.
         write: writes columns of equal length, name to numbers; None for a format that is only read.
         libraries: third-party modules that read it; such files are read in a process of their own.
+        is_log: whether a file with one of the endings is a log of this format, for endings that others use
+            as well; None if the ending suffices.
     """
 
     name: str
@@ -31,6 +33,7 @@ class Format(NamedTuple):
     read: Callable[[Path, ChannelSelection], Content]
     write: Callable[[Path, Mapping[str, np.ndarray]], None] | None = None
     libraries: tuple[str, ...] = ()
+    is_log: Callable[[Path], bool] | None = None
 
 
 def _read_mdf(path: Path, selection: ChannelSelection) -> Content:
@@ -46,7 +49,7 @@ BUILT_IN = (
     Format("matlab", mat.SUFFIXES, mat.read, None, ("scipy.io",)),
     Format("hdf5", hdf5.SUFFIXES, hdf5.read, None, ("h5py",)),
     Format("parquet", parquet.SUFFIXES, parquet.read, parquet.write_table, ("pyarrow.parquet",)),
-    Format("can", can.SUFFIXES, can.read, None, ("can", "cantools")),
+    Format("can", can.SUFFIXES, can.read, None, ("can", "cantools"), can.is_log),
 )
 
 
@@ -72,9 +75,15 @@ def formats() -> Mapping[str, Format]:
 
 
 def known_format(path: Path) -> Format | None:
-    """Return the format of a file by its ending; None for an unknown ending."""
+    """Return the format of a file by its ending; None for an unknown ending or a file of another kind."""
     name = path.name.lower()
-    return next((log_format for log_format in formats().values() if name.endswith(log_format.suffixes)), None)
+    log_format = next((known for known in formats().values() if name.endswith(known.suffixes)), None)
+    if log_format is None or log_format.is_log is None or not path.is_file():
+        return log_format
+    try:
+        return log_format if log_format.is_log(path) else None
+    except OSError:
+        return log_format  # its reader says why it cannot be read
 
 
 def format_of(path: Path) -> Format:

@@ -4,100 +4,175 @@ import codecs
 import csv
 import gzip
 import io
+import re
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from functools import partial
-from itertools import chain
+from itertools import chain, compress
+from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from hitchid._support.inert import spreadsheet_text
-from hitchid.data.content import Content, LogChannel
+from hitchid._support.summary import count
+from hitchid.data.content import Content
 from hitchid.errors import LogError
-from hitchid.readers.content import CHANNEL_HINT, MAX_UNPACK_RATIO, ChannelSelection, max_unpacked_bytes
-from hitchid.readers.formats.dialect import Dialect, check_width, dialect_of, encoding_of
+from hitchid.readers.content import ALWAYS_ALLOWED_BYTES, ChannelSelection, no_such_channel
+from hitchid.readers.formats import lvm
+from hitchid.readers.formats.columns import Columns
+from hitchid.readers.formats.dialect import ZEROS, Dialect, check_width, dialect_of, encoding_of
+from hitchid.readers.formats.numerals import NUMBER, Numerals
 
 SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".lvm")
-HEAD, BLOCK = 2**20, 2**25  # bytes: beginning that decides the dialect; part parsed at once
-LONGEST_SHOWN = 40  # characters of a cell in a message
+HEAD, BLOCK = 2**22, 2**22  # bytes: beginning that decides the dialect; part parsed at once
+# Characters of the longest line, ten of which are in the head: a sample of ten thousand channels; chosen.
+LONGEST_LINE = 2**18
+MAX_TEXT_RATIO = 50  # unpacked bytes a packed one; text logs have 5 to 20 (chosen)
+LAST_ROWS = 100  # rows with which one without a line end is compared (chosen)
 NO_FINAL_NEWLINE = "the final newline is missing: the last line may be truncated"
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
     """Read the selected columns of a text log, block by block; other columns may hold text.
 
+    Time stamps in text become seconds since the first, missing values NaN. Lines without a sample, such as
+    comments, are left out.
+
     Raises:
-        LogError: the file cannot be read, a column is missing, or a cell is not a number; the message names
-            line and column.
+        LogError: the file cannot be read, a column is missing, a cell is not a number, or decimal and
+            thousands separators cannot be told apart; the message names line and column.
     """
     blocks = _blocks(path)
     head = next(blocks, "")
+    if lvm.is_lvm(head):
+        return lvm.read(path, chain([head], blocks), selection)
     requested = (
         () if selection.signals is None else tuple(dict.fromkeys((selection.time, *selection.signals)))
     )
-    dialect = dialect_of(head[:HEAD], path, requested)
+    dialect = dialect_of(head, path, requested)
     # If all columns are selected, those with a name that occurs twice are left out.
-    requested = requested or tuple(
-        name for name, count in Counter(dialect.names).items() if name and count == 1
-    )
-    column_reader = _ColumnReader(
-        path, dialect, requested, tuple(_column_index(path, dialect, name) for name in requested)
-    )
-    parsed_blocks, block = [], "\n"
-    for line, block in _blocks_from_line(chain([head], blocks), dialect.first):
-        parsed_blocks.append(column_reader.parse_block(line, block))
-    if not parsed_blocks:
-        raise LogError(path, "there are no samples below the header line", line=dialect.header)
-    channels = {
-        name: LogChannel(
-            _join_column([parsed_block.columns for parsed_block in parsed_blocks]),
-            dialect.units.get(dialect.names[index]),
+    names = requested or tuple(name for name, times in Counter(dialect.names).items() if name and times == 1)
+    indices = [_column_index(path, dialect, name) for name in names]
+    columns = Columns(path, names, strict=bool(requested), header=dialect.header)
+    zero_lines: list[int] = []
+    others: list[list[str]] = []
+    for first, block in _blocks_from_line(chain([head], blocks), dialect.first):
+        lines, rows = _rows(path, dialect, first, block, zero_lines)
+        if rows and not block.endswith("\n"):
+            columns.notices.append(_end_notice(dialect, [*others, *rows], lines[-1]))
+            rows = rows[: -1 if columns.notices[-1] != NO_FINAL_NEWLINE else None]
+        if not rows:
+            continue
+        others = rows[-LAST_ROWS:]
+        if len(max(rows, key=len)) > len(dialect.names) or dialect.separator == " ":
+            check_width(
+                path, dialect.separator, dialect.names, zip(lines, rows, strict=False), dialect.header
+            )
+        columns.add(lines[: len(rows)], [_cells(rows, index) for index in indices])
+    if zero_lines:
+        columns.notices.append(
+            f"left out: {count(len(zero_lines), 'line')} with zero bytes, the first is line {zero_lines[0]}: "
+            "the disk was full, or the logger lost its power"
         )
-        for name, index in reversed(list(zip(requested, column_reader.indices, strict=True)))
-    }
-    lines = [(parsed_block.sample_count, parsed_block.lines) for parsed_block in parsed_blocks]
-    ordered = {name: channels[name] for name in requested}
-    notices = () if block.endswith("\n") else (NO_FINAL_NEWLINE,)
-    return Content(path, ordered, notices, partial(_line_of, lines))
+    return columns.content(
+        {name: dialect.units.get(dialect.names[index]) for name, index in zip(names, indices, strict=True)}
+    )
 
 
-def _join_column(blocks: Sequence[list[np.ndarray]]) -> np.ndarray:
-    """Remove the last column of all blocks and return it as one read-only array.
+def _rows(
+    path: Path, dialect: Dialect, first: int, block: str, zero_lines: list[int]
+) -> tuple[Sequence[int], list[list[str]]]:
+    """Return the lines that are not blank, from line `first` on, and their cells, which may be quoted."""
+    is_quoted = '"' in block and dialect.separator != " "
+    lines: Sequence[int] = []
+    if dialect.separator == " ":
+        rows = [line.split() for line in block.removesuffix("\n").split("\n")]
+    else:
+        quoting = csv.QUOTE_MINIMAL if is_quoted else csv.QUOTE_NONE
+        reader = csv.reader(io.StringIO(block), delimiter=dialect.separator, quoting=quoting)
+        try:
+            if is_quoted:  # a cell may hold line ends
+                numbered = [(first + reader.line_num - 1, row) for row in reader]
+                lines, rows = [line for line, _ in numbered], [row for _, row in numbered]
+            else:
+                rows = list(reader)
+        except csv.Error as error:
+            line = first + reader.line_num - 1
+            raise LogError(path, f"cannot be parsed: {error}", line=line) from error
+    lines = lines or range(first, first + len(rows))
+    if min(map(len, rows)) < 2:
+        kept = [k for k, row in enumerate(rows) if any(map(str.strip, row))]
+        lines, rows = [lines[k] for k in kept], [rows[k] for k in kept]
+    if "\0" in block:
+        # A row next to zero bytes may be cut within a number.
+        cut = [any("\0" in cell for cell in row) for row in rows]
+        zero_lines += compress(lines, cut)
+        kept = [k for k, is_cut in enumerate(cut) if not is_cut]
+        lines, rows = [lines[k] for k in kept], [rows[k] for k in kept]
+    return lines, rows
 
-    This limits the memory for a long log: no more than one column exists twice.
+
+def _cells(rows: Sequence[Sequence[str]], index: int) -> list[str]:
+    """Return the cells of a column, empty where a row ends before it."""
+    try:
+        return list(map(itemgetter(index), rows))
+    except IndexError:
+        return [row[index] if index < len(row) else "" for row in rows]
+
+
+def _end_notice(dialect: Dialect, rows: list[list[str]], line: int) -> str:
+    """Return the notice on a last row without a line end, NO_FINAL_NEWLINE if it seems whole.
+
+    It is cut if cells are missing, or digits behind the decimal sign that all other rows have.
     """
-    column = np.concatenate([block.pop() for block in blocks])
-    column.setflags(write=False)
-    return column
+    last, others = rows[-1], rows[:-1]
+    column = len(last) - 1
+    decimals = min((_decimals(row[column]) for row in others if len(row) > column), default=0)
+    width = min(map(len, others), default=len(dialect.names))
+    if len(last) >= width and (not decimals or _decimals(last[column]) >= decimals):
+        return NO_FINAL_NEWLINE
+    return f"the last line, {line}, is left out: it is cut"
 
 
-def read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
+def _decimals(cell: str) -> int:
+    return len(re.split("[.,]", cell.strip(), maxsplit=1)[-1]) if re.search("[.,]", cell) else 0
+
+
+class TextRows(NamedTuple):
+    """Header and rows of a text log as text, and the line of each row in the file."""
+
+    header: list[str]
+    rows: list[list[str]]
+    lines: list[int]
+
+
+def read_rows(path: Path) -> TextRows:
     """Return header and rows of a text log as text; every row has as many cells as the header.
 
     A decimal comma becomes a point.
     """
-    text = "".join(_blocks(path))
-    dialect = dialect_of(text[:HEAD], path)
-    lines = text.split("\n")[dialect.first - 1 :]
-    try:
-        if dialect.separator == " ":
-            rows = [line.split() for line in lines if line.strip()]
-        else:
-            reader = csv.reader(io.StringIO("\n".join(lines)), delimiter=dialect.separator)
-            rows = [row for row in reader if row]
-    except csv.Error as error:
-        raise LogError(path, f"cannot be parsed as comma-separated text: {error}") from error
-    if dialect.comma:
+    blocks = _blocks(path)
+    head = next(blocks, "")
+    dialect = dialect_of(head, path)
+    width, lines, rows = len(dialect.names), [], []
+    for first, block in _blocks_from_line(chain([head], blocks), dialect.first):
+        block_lines, block_rows = _rows(path, dialect, first, block, [])
+        lines += block_lines
+        rows += [row[:width] + [""] * (width - len(row)) for row in block_rows]
+    numerals = Numerals()
+    numerals.examine({"": "\n".join(chain.from_iterable(rows))})
+    if numerals.sign == ",":
         rows = [
-            [_with_decimal_point(cell) if cell.strip(" +-0123456789eE") == "," else cell for cell in row]
-            for row in rows
+            [_with_point(cell) if NUMBER.fullmatch(cell.strip()) else cell for cell in row] for row in rows
         ]
-    width = len(dialect.names)
-    return list(dialect.names), [row[:width] + [""] * (width - len(row)) for row in rows]
+    return TextRows(list(dialect.names), rows, lines)
+
+
+def _with_point(cell: str) -> str:
+    return cell.replace(",", ".")
 
 
 def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
@@ -125,82 +200,15 @@ def write_rows(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]])
     path.write_bytes(gzip.compress(data, mtime=0) if path.suffix.lower() == ".gz" else data)
 
 
-def _with_decimal_point(text: str) -> str:
-    """Return text with decimal points for commas; points become `?`, which no number contains."""
-    return text.replace(".", "?").replace(",", ".")
-
-
 def _column_index(path: Path, dialect: Dialect, name: str) -> int:
     indices = dialect.column_indices(name)
     if len(indices) > 1:
         candidates = ", ".join(dialect.names[index] for index in indices)
         raise LogError(path, f"the name is ambiguous: {candidates}", line=dialect.header, column=name)
     if not indices:
-        known_names = ", ".join(dialect.names)
-        raise LogError(
-            path,
-            f"there is no such column; {CHANNEL_HINT}; found {known_names}",
-            line=dialect.header,
-            column=name,
-        )
+        known = [known for known in dialect.names if known]
+        raise no_such_channel(path, name, known, kind="column", line=dialect.header)
     return indices[0]
-
-
-class _ParsedBlock(NamedTuple):
-    """The samples of a block: how many, each column of shape [N], and the line of the first or of each."""
-
-    sample_count: int
-    columns: list[np.ndarray]
-    lines: int | np.ndarray
-
-
-class _ColumnReader(NamedTuple):
-    """Parser of the selected columns: their names and indices."""
-
-    path: Path
-    dialect: Dialect
-    names: tuple[str, ...]
-    indices: tuple[int, ...]
-
-    def parse_block(self, first: int, block: str) -> _ParsedBlock:
-        """Return the numbers of a block whose first line is `first`."""
-        self.check_width(first, block)
-        separator = None if self.dialect.separator == " " else self.dialect.separator
-        text = io.StringIO(_with_decimal_point(block) if self.dialect.comma else block)
-        try:
-            rows = np.loadtxt(
-                text, delimiter=separator, usecols=self.indices, ndmin=2, comments=None, quotechar='"'
-            )
-        except ValueError:
-            raise self.first_error(first, block) from None
-        columns = [rows[:, index].copy() for index in range(len(self.indices))]
-        return _ParsedBlock(len(rows), columns, _lines(block, first, len(rows)))
-
-    def check_width(self, first: int, block: str) -> None:
-        """Refuse rows that are wider than the header; blocks with too few separators are not parsed."""
-        separator, names = self.dialect.separator, self.dialect.names
-        if max(line.count(separator) for line in block.split("\n")) < len(names) or separator == " ":
-            return
-        reader = csv.reader(io.StringIO(block), delimiter=separator)
-        rows = ((first + reader.line_num - 1, [cell.strip() for cell in row]) for row in reader)
-        with suppress(csv.Error):  # such a row is refused later, as one that holds no number
-            check_width(self.path, separator, names, rows, self.dialect.header)
-
-    def first_error(self, first: int, block: str) -> LogError:
-        """Return the error for the first cell that is not a number."""
-        spaced = self.dialect.separator == " "
-        text = "\n".join(" ".join(line.split()) for line in block.split("\n")) if spaced else block
-        reader = csv.reader(io.StringIO(text), delimiter=self.dialect.separator)
-        try:
-            for row in reader:
-                for name, index in zip(self.names, self.indices, strict=True) if row else ():
-                    problem = _problem(row, index, self.dialect)
-                    if problem is not None:
-                        return LogError(self.path, problem, line=first + reader.line_num - 1, column=name)
-        except csv.Error as error:
-            line = first + reader.line_num - 1
-            return LogError(self.path, f"cannot be parsed: {error}", line=line)
-        return LogError(self.path, "cannot be parsed as columns of numbers")
 
 
 def _blocks_from_line(blocks: Iterable[str], first: int) -> Iterator[tuple[int, str]]:
@@ -215,50 +223,28 @@ def _blocks_from_line(blocks: Iterable[str], first: int) -> Iterator[tuple[int, 
         line += lines
 
 
-def _line_of(line_blocks: Sequence[tuple[int, int | np.ndarray]], row: int) -> int | None:
-    for count, lines in line_blocks:
-        if row < count:
-            return lines + row if isinstance(lines, int) else int(lines[min(row, lines.size - 1)])
-        row -= count
-    return None
-
-
-def _lines(block: str, first: int, rows: int) -> np.ndarray | int:
-    """Return the line of the first sample, or of each sample if there are blank lines."""
-    if block.rstrip("\n").count("\n") + 1 == rows:
-        return first
-    return np.array([number for number, line in enumerate(block.split("\n"), start=first) if line.strip()])
-
-
-def _problem(row: Sequence[str], index: int, dialect: Dialect) -> str | None:
-    if index >= len(row):
-        return f"the line has {len(row)} cells, expected {len(dialect.names)}"
-    cell = row[index].strip()
-    try:
-        float(_with_decimal_point(cell) if dialect.comma else cell)
-    except ValueError:
-        pass
-    else:
-        if cell.isascii() and "_" not in cell:
-            return None
-    shown = repr(cell if len(cell) <= LONGEST_SHOWN else f"{cell[:LONGEST_SHOWN]}…")
-    expected = "a number with a decimal comma, as in other cells" if dialect.comma else "a number"
-    return f"expected {expected}, got {shown if cell else 'an empty cell'}"
-
-
 def _blocks(path: Path) -> Iterator[str]:
     """Return the text of a plain or gzip-compressed log in blocks of whole lines.
 
     Raises:
-        LogError: the file cannot be read, is damaged, unpacks to too many bytes, or is not text.
+        LogError: the file cannot be read, is damaged, unpacks to too many bytes, is not text, or has a line
+            that is too long for a sample.
     """
-    rest = ""
+    rest, first = "", 1
     try:
         if path.suffix.lower() == ".gz":
             _check_unpacked(path)
         for chunk in _decode_text(path):
-            complete, newline, rest = (rest + chunk).rpartition("\n")
+            text = rest + chunk
+            for line, length in enumerate(map(len, text.split("\n")), start=first):
+                if length > LONGEST_LINE:
+                    problem = (
+                        f"is longer than {LONGEST_LINE} characters; expected a text log, one line a sample"
+                    )
+                    raise LogError(path, problem, line=line)
+            complete, newline, rest = text.rpartition("\n")
             if newline:
+                first += complete.count("\n") + 1
                 yield complete + newline
     except UnicodeDecodeError as error:
         raise LogError(path, f"is not text in its encoding: {error}") from error
@@ -270,25 +256,25 @@ def _blocks(path: Path) -> Iterator[str]:
 
 def _check_unpacked(path: Path) -> None:
     """Refuse a file that unpacks to too many bytes, or not at all, before it is parsed."""
-    max_bytes, size = max_unpacked_bytes(path), 0
+    max_bytes, size = max(ALWAYS_ALLOWED_BYTES, MAX_TEXT_RATIO * path.stat().st_size), 0
     with gzip.open(path) as file:
         for chunk in iter(partial(file.read, BLOCK), b""):
             size += len(chunk)
             if size > max_bytes:
-                raise LogError(
-                    path, f"unpacks to more than {MAX_UNPACK_RATIO} times its size; check the file"
-                )
+                raise LogError(path, f"unpacks to more than {MAX_TEXT_RATIO} times its size; check the file")
 
 
 def _decode_text(path: Path) -> Iterator[str]:
-    """Yield the text in parts; in a text without line feeds, carriage returns end the lines."""
+    """Yield the text in parts, every line end as a line feed and every run of zero bytes as one."""
     is_gzip = path.suffix.lower() == ".gz"
     with gzip.open(path) if is_gzip else path.open("rb") as file:
         head = file.read(HEAD)
         encoding = encoding_of(head, path)
-        decoder = codecs.getincrementaldecoder(encoding)("strict" if encoding == "utf-16" else "replace")
-        carriage_returns = encoding != "utf-16" and b"\n" not in head
+        is_wide = encoding.startswith("utf-16")
+        text_decoder = codecs.getincrementaldecoder(encoding)("strict" if is_wide else "replace")
+        # Carriage returns in front of line feeds or without them end a line, too.
+        decoder = io.IncrementalNewlineDecoder(text_decoder, translate=True)
         for chunk in chain([head], iter(partial(file.read, BLOCK), b"")):
-            text = decoder.decode(chunk)
-            yield text.replace("\r", "\n") if carriage_returns else text
+            has_zeros = not is_wide and b"\0\0" in chunk
+            yield decoder.decode(ZEROS.sub(b"\0", chunk) if has_zeros else chunk)
         yield decoder.decode(b"", final=True)

@@ -1,4 +1,4 @@
-"""Detection of the dialect of a text log from its beginning: separator, decimal sign, header, units."""
+"""Detection of the dialect of a text log from its beginning: separator, header, units."""
 
 import csv
 import io
@@ -12,15 +12,18 @@ from typing import NamedTuple
 from hitchid.data.units import parse_unit
 from hitchid.errors import LogError
 from hitchid.readers.formats.controldesk import labels_of
+from hitchid.readers.formats.numerals import is_number
 
 SEPARATORS = ("\t", ";", "|", ",", " ")
 LINES, HEADER_ROWS = 200, 10  # lines that decide the dialect; rows above the samples that may be the header
 LONGEST_SHOWN, LONGEST_NAME = 60, 200  # characters: in a message; of a column's name
+WIDE_START = 8  # bytes that tell UTF-16; chosen
 NOT_TEXT = 0.3  # share of suspect characters above which a file is not text; chosen
-NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
-THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
+NO_UNIT_TEXT = ("1", "-")  # units of a ratio that may also be a sample or a missing value
 UNIT_LABELS = ("unit", "units", "einheit", "einheiten")
 BRACKETS = re.compile(r"(.+?)\s*[\[(]([^\[\]()]*)[\])]")
+COMMENT_MARK = re.compile(r"^[#%]+\s*(?=\w)")
+ZEROS = re.compile(rb"\0+")
 CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 BYTE_ORDER_MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 
@@ -35,7 +38,6 @@ class Dialect(NamedTuple):
 
     Attributes:
         separator: between columns; a space means any run of white space.
-        comma: whether the decimal sign is a comma.
         names: of the columns, in order.
         units: name to unit, from a row of units or from brackets behind the name.
         header: line of the names, from 1.
@@ -43,7 +45,6 @@ class Dialect(NamedTuple):
     """
 
     separator: str
-    comma: bool
     names: tuple[str, ...]
     units: dict[str, str]
     header: int
@@ -64,7 +65,12 @@ def encoding_of(head: bytes, source: Path) -> str:
     for mark, encoding in BYTE_ORDER_MARKS.items():
         if head.startswith(mark):
             return encoding
-    text = head[: head.rfind(b"\n") + 1] or head
+    # Text in UTF-16 without a mark has a zero byte in each of its first characters.
+    start = head[:WIDE_START]
+    if len(start) == WIDE_START and any(start[k::2].count(0) == WIDE_START // 2 for k in (0, 1)):
+        return "utf-16-le" if start[1] == 0 else "utf-16-be"
+    # What lost power wrote says nothing about the rest.
+    text = ZEROS.sub(b"\0", head[: head.rfind(b"\n") + 1] or head)
     try:
         text.decode()
         encoding, readable = "utf-8", True
@@ -81,8 +87,8 @@ def encoding_of(head: bytes, source: Path) -> str:
 def dialect_of(text: str, source: Path, requested: Sequence[str] = ()) -> Dialect:
     """Return the dialect of a log from its first lines.
 
-    The separator is the one that yields most numbers. The header is one of the ten lines above the first two
-    lines of numbers: the one with most of the requested names.
+    The separator is the one that yields most numbers or stamps. The header is one of the ten lines above the
+    first two lines of numbers: the one with most of the requested names, else of the samples' width.
 
     Args:
         text: the beginning of the log.
@@ -96,23 +102,29 @@ def dialect_of(text: str, source: Path, requested: Sequence[str] = ()) -> Dialec
     if not first_line:
         raise LogError(source, "the file is empty; expected a header line and samples")
     rows_by_separator = {separator: _rows(text, separator) for separator in SEPARATORS}
-    separator = max(SEPARATORS, key=lambda candidate: _count_numbers(rows_by_separator[candidate]))
-    if not _count_numbers(rows_by_separator[separator]):
+    counts = {candidate: _count_numbers(rows) for candidate, rows in rows_by_separator.items()}
+    # Commas and spaces stand within numbers and stamps, too: other separators need half of their numbers.
+    separator = max(SEPARATORS, key=lambda sign: counts[sign] * (1 if sign in ", " else 2))
+    if not counts[separator]:
         separator = max((",", *SEPARATORS), key=lambda candidate: len(rows_by_separator[candidate][0].cells))
     rows = rows_by_separator[separator]
     labels = labels_of(rows)
     if labels is not None:
-        comma = separator != "," and _has_decimal_comma(text, separator)
-        return Dialect(separator, comma, *labels)
+        return Dialect(separator, *labels)
     first_data_row = _first_sample(rows)
     header_rows = _header_rows(rows[:1] if first_data_row is None else rows[:first_data_row])
     if not header_rows:
         first_requested = requested[0] if requested else None
         problem = f"there is no header line with names, found '{first_line[:LONGEST_SHOWN]}'"
         raise LogError(source, problem, line=rows[0].line, column=first_requested)
+    width = len(rows[first_data_row].cells) if first_data_row is not None else 0
     header, names = max(
         reversed([row for row in header_rows if not _is_unit_row(row.cells)] or header_rows),
-        key=lambda row: sum(cell in requested or _without_unit(cell) in requested for cell in row.cells),
+        key=lambda row: (
+            sum(cell in requested or _without_unit(cell) in requested for cell in row.cells),
+            len(row.cells) == width,
+            len({cell for cell in row.cells if cell}),
+        ),
     )
     rows_below = [row for row in rows if row.line > header]
     samples = [
@@ -129,10 +141,7 @@ def dialect_of(text: str, source: Path, requested: Sequence[str] = ()) -> Dialec
         bracketed = BRACKETS.fullmatch(name[: LONGEST_NAME + 1])
         if bracketed:
             units.setdefault(name, bracketed.group(2).strip())
-    comma = separator != "," and _has_decimal_comma(text, separator)
-    if comma:
-        _check_thousands(source, samples)
-    return Dialect(separator, comma, tuple(names), units, header, first)
+    return Dialect(separator, tuple(names), units, header, first)
 
 
 def check_width(
@@ -148,22 +157,6 @@ def check_width(
         if width > len(names) or (separator == " " and len(cells) < len(names)):
             problem = f"the line has {len(cells)} cells, the header in line {header} {len(names)} names"
             raise LogError(source, f"{problem}; expected one name per cell", line=line)
-
-
-def _check_thousands(source: Path, samples: Sequence[_Row]) -> None:
-    """Refuse commas that may separate thousands: each precedes three digits, and some cells have none.
-
-    12,345 among 1,234 and 999 may be a thousand; 0,345 or 12,5 anywhere proves that commas are decimal.
-    """
-    cells = [(column, cell) for row in samples for column, cell in enumerate(row.cells)]
-    commas = [(column, cell) for column, cell in cells if "," in cell and _is_number(cell)]
-    integer_columns = {column for column, cell in cells if cell.lstrip("+-").isdecimal()}
-    mixed = [cell for column, cell in commas if column in integer_columns]
-    if mixed and all(THOUSANDS.fullmatch(cell) for _, cell in commas):
-        problem = (
-            f"'{mixed[0]}' is ambiguous: a decimal comma or a thousands separator; use no thousands separator"
-        )
-        raise LogError(source, problem)
 
 
 def _without_unit(name: str) -> str:
@@ -191,11 +184,7 @@ def _rows(text: str, separator: str) -> list[_Row]:
 
 def _count_numbers(rows: Sequence[_Row]) -> int:
     """Return the count of cells that are numbers, in rows of two cells or more."""
-    return sum(sum(map(_is_number, row.cells)) for row in rows if len(row.cells) > 1)
-
-
-def _is_number(cell: str) -> bool:
-    return NUMBER.fullmatch(cell) is not None
+    return sum(sum(map(is_number, row.cells)) for row in rows if len(row.cells) > 1)
 
 
 def _first_sample(rows: Sequence[_Row]) -> int | None:
@@ -208,8 +197,8 @@ def _first_sample(rows: Sequence[_Row]) -> int | None:
 
 def _is_sample(cells: Sequence[str]) -> bool:
     """Return whether most cells, or the first of several, are numbers; a row of units is not a sample."""
-    numbers = sum(map(_is_number, cells))
-    return len(cells) > 1 and (2 * numbers > len(cells) or _is_number(cells[0])) and not _is_unit_row(cells)
+    numbers = sum(map(is_number, cells))
+    return len(cells) > 1 and (2 * numbers > len(cells) or is_number(cells[0])) and not _is_unit_row(cells)
 
 
 def _header_rows(rows_above: Sequence[_Row]) -> list[_Row]:
@@ -218,8 +207,10 @@ def _header_rows(rows_above: Sequence[_Row]) -> list[_Row]:
     for line, cells in rows_above[: -HEADER_ROWS - 1 : -1]:
         if rows and len(cells) < len(rows[0].cells):
             break
-        rows.append(_Row(line, [cells[0].lstrip("#% "), *cells[1:]]))
-    return rows[::-1]
+        rows.append(_Row(line, [COMMENT_MARK.sub("", cells[0]), *cells[1:]]))
+    # Of a header that is repeated below the first sample, the first counts.
+    first_by_cells = {tuple(row.cells): row for row in rows}
+    return sorted(first_by_cells.values())
 
 
 def _is_unit_row(cells: Sequence[str]) -> bool:
@@ -227,19 +218,7 @@ def _is_unit_row(cells: Sequence[str]) -> bool:
     stripped = [cell.strip("[]() ") for cell in cells]
     body = stripped[1:] if stripped and stripped[0].lower() in UNIT_LABELS else stripped
     filled = [cell for cell in body if cell]
-    if any(map(_is_number, set(filled) - {"1"})):
+    if any(map(is_number, set(filled) - {"1"})):
         return False
     unit_cells = [cell for cell in filled if parse_unit(cell)]
-    has_unit_text = any(cell.isalpha() or not cell.isascii() for cell in unit_cells)
-    return has_unit_text and 2 * len(unit_cells) >= len(filled)
-
-
-def _has_decimal_comma(text: str, separator: str) -> bool:
-    """Return whether some number in the text has a decimal comma."""
-    # If white space is the separator, the padding must not match it too: the search in a long run of it would
-    # take quadratic time.
-    gap, pad = (r"\s", '"*') if separator == " " else (re.escape(separator), '[ "]*')
-    comma_match = re.search(
-        rf"(?:^|{gap}){pad}[+-]?\d*,\d+(?:[eE][+-]?\d+)?{pad}(?:{gap}|\r?$)", text, re.MULTILINE
-    )
-    return comma_match is not None
+    return any(cell not in NO_UNIT_TEXT for cell in unit_cells) and 2 * len(unit_cells) >= len(filled)

@@ -5,12 +5,14 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
 from hitchid.errors import LogError
 from hitchid.readers.content import ChannelSelection, match_channels
 
+MAX_COLUMNS = 1000  # of a table; wider arrays are pictures or maps (chosen)
 DISTRIBUTIONS = {"can": "python-can", "nptdms": "npTDMS"}
 
 
@@ -92,6 +94,21 @@ def floats(values: np.ndarray) -> np.ndarray:
 def is_vector(shape: Sequence[int]) -> bool:
     """Return whether an array of this shape is one row or column of more than one number."""
     return len(shape) in (1, 2) and max(shape) > 1 and (len(shape) == 1 or min(shape) == 1)
+
+
+def is_matrix(shape: Sequence[int]) -> bool:
+    """Return whether an array of this shape is a table: samples along its longer side, several columns."""
+    return len(shape) == 2 and 1 < min(shape) < max(shape) and min(shape) <= MAX_COLUMNS
+
+
+def column_of(matrix: Any, index: int) -> np.ndarray:
+    """Return a column of a table: the samples along its longer side, whichever that is."""
+    return matrix[:, index] if matrix.shape[0] > matrix.shape[1] else matrix[index, :]
+
+
+def column_names(name: str, shape: Sequence[int]) -> list[str]:
+    """Return the names of the columns of a table, as MATLAB counts them: `data(:,1)`, `data(:,2)`, …."""
+    return [f"{name}(:,{number})" for number in range(1, min(shape) + 1)]
 
 
 def unit_text(unit: object) -> str | None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,7 +11,15 @@ from hitchid.errors import LogError
 from hitchid.readers.content import ChannelSelection
 from hitchid.readers.formats import netcdf3
 from hitchid.readers.formats.cf import decode_values, is_time, to_seconds, unit_attribute
-from hitchid.readers.formats.extra import as_log_errors, import_optional, is_vector, match_clocked_channels
+from hitchid.readers.formats.extra import (
+    as_log_errors,
+    column_names,
+    column_of,
+    import_optional,
+    is_matrix,
+    is_vector,
+    match_clocked_channels,
+)
 
 SUFFIXES = (".h5", ".hdf5", ".nc")
 NUMERIC_KINDS = "fiub"  # numpy's kinds of real numbers
@@ -19,6 +27,15 @@ KIND = "an HDF5 file"
 # Name attribute of the empty dataset that NetCDF 4 stores for a dimension without coordinates.
 NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
 Dataset = Any  # of h5py, which has no types
+
+
+class _Column(NamedTuple):
+    """Place of one channel: a dataset, or a field or column of one; an alias has a better name, too."""
+
+    dataset: Dataset
+    part: str | int | None = None
+    unit: str | None = None
+    is_alias: bool = False
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
@@ -37,17 +54,26 @@ def read(path: Path, selection: ChannelSelection) -> Content:
             return netcdf3.read(path, selection)
     h5py = import_optional("h5py", "hdf5", path)
     with as_log_errors(path, KIND), h5py.File(path, "r") as file:
-        datasets = {name: dataset for name, dataset in _datasets(h5py, file) if _holds_numbers(dataset)}
-        scales = {
-            name: scale for name, dataset in datasets.items() if (scale := _time_scale(dataset)) is not None
+        columns = {
+            column: part
+            for name, dataset in _datasets(h5py, file)
+            for column, part in _columns(name, dataset)
         }
-        matches = match_clocked_channels(path, list(datasets), selection, scales)
+        scales = {
+            name: scale
+            for name, column in columns.items()
+            if (scale := _time_scale(column.dataset)) is not None
+        }
+        if selection.signals is None:
+            # Columns of a table that names them are not read twice.
+            columns = {name: column for name, column in columns.items() if not column.is_alias}
+        matches = match_clocked_channels(path, list(columns), selection, scales)
         clocks: dict[str, np.ndarray] = {}
         for scale in {name: scales[name] for name in matches.values() if name in scales}.values():
             if scale.name not in clocks:
                 clocks[scale.name] = _read_clock(path, scale)
         channels = {
-            requested: _channel(path, name, datasets, scales.get(name), clocks)
+            requested: _channel(path, name, columns[name], scales.get(name), clocks)
             for requested, name in matches.items()
         }
     return Content(path, channels)
@@ -77,20 +103,51 @@ def _datasets(h5py: Any, group: Any) -> Iterator[tuple[str, Dataset]]:
         pending += reversed(subgroups)
 
 
-def _is_real(dataset: Any) -> bool:
-    """Return whether a dataset is one row or column of more than one real number."""
-    return dataset.shape is not None and dataset.dtype.kind in NUMERIC_KINDS and is_vector(dataset.shape)
+def _columns(name: str, dataset: Dataset) -> Iterator[tuple[str, _Column]]:
+    """Yield full name and place of each vector in a dataset: itself, or a field or column of it.
+
+    A table may name its columns in an attribute `columns`, and their units in `units`.
+    """
+    # The shape of an external dataset is not read: HDF5 would open the other file. It is listed so that a
+    # request for it gives an error with the reason.
+    if is_external(dataset):
+        yield name, _Column(dataset)
+        return
+    shape, kind = dataset.shape, dataset.dtype
+    if shape is None or _text(dataset.attrs.get("NAME")).startswith(NO_VARIABLE):
+        return
+    if is_vector(shape) and kind.kind in NUMERIC_KINDS:
+        yield name, _Column(dataset, unit=unit_attribute(dataset.attrs))
+    elif is_vector(shape) and kind.names:
+        for field in kind.names:
+            if kind[field].kind in NUMERIC_KINDS:
+                yield f"{name}/{field}", _Column(dataset, field)
+    elif is_matrix(shape) and kind.kind in NUMERIC_KINDS:
+        labels, units = (_texts(dataset.attrs.get(key), min(shape)) for key in ("columns", "units"))
+        for index, column in enumerate(column_names(name, shape)):
+            unit = units[index] if units else unit_attribute(dataset.attrs)
+            if labels:
+                yield f"{name}/{labels[index]}", _Column(dataset, index, unit)
+            yield column, _Column(dataset, index, unit, is_alias=bool(labels))
 
 
-def read_dataset(path: Path, dataset: Any, name: str) -> np.ndarray:
-    """Return the stored numbers of a dataset.
+def _texts(value: object, count: int) -> list[str]:
+    """Return an attribute of one text a column; empty if it is anything else."""
+    texts = [_text(text) for text in np.ravel(value).tolist()] if isinstance(value, np.ndarray) else []
+    return texts if len(texts) == count else []
+
+
+def read_dataset(path: Path, dataset: Any, name: str, part: str | int | None = None) -> np.ndarray:
+    """Return the stored numbers of a dataset, of one field or of one column.
 
     Raises:
         LogError: the dataset is in another file.
     """
     if is_external(dataset):
         raise LogError(path, "is a link to another file; expected the data in this file", column=name)
-    return dataset[()]
+    if isinstance(part, int):
+        return column_of(dataset, part)
+    return dataset[()] if part is None else dataset[part]
 
 
 def is_external(dataset: Any) -> bool:
@@ -103,14 +160,6 @@ def _address(h5py: Any, item: Any) -> tuple[int, int]:
     return info.fileno, info.addr
 
 
-def _holds_numbers(dataset: Any) -> bool:
-    # The shape of an external dataset is not read: HDF5 would open the other file. It is listed so that a
-    # request for it gives an error with the reason.
-    if is_external(dataset):
-        return True
-    return _is_real(dataset) and not _text(dataset.attrs.get("NAME")).startswith(NO_VARIABLE)
-
-
 def _text(value: object) -> str:
     return value.decode("utf-8", errors="replace") if isinstance(value, bytes) else str(value)
 
@@ -120,8 +169,12 @@ def _time_scale(dataset: Any) -> Any:
     if is_external(dataset):
         return None
     for scale in _scales(dataset):
-        if not is_external(scale) and is_time(unit_attribute(scale.attrs)) and scale.size == dataset.size:
-            return scale if _is_real(scale) else None
+        if (
+            not is_external(scale)
+            and is_time(unit_attribute(scale.attrs))
+            and scale.size == max(dataset.shape)
+        ):
+            return scale if is_vector(scale.shape) and scale.dtype.kind in NUMERIC_KINDS else None
     return None
 
 
@@ -143,10 +196,10 @@ def _read_clock(path: Path, scale: Any) -> np.ndarray:
 
 
 def _channel(
-    path: Path, name: str, datasets: Mapping[str, Dataset], scale: Dataset, clocks: Mapping[str, np.ndarray]
+    path: Path, name: str, column: _Column, scale: Dataset, clocks: Mapping[str, np.ndarray]
 ) -> LogChannel:
-    clock_s, dataset = (None if scale is None else clocks[scale.name]), datasets[name]
-    if clock_s is not None and dataset == scale:
+    clock_s = None if scale is None else clocks[scale.name]
+    if clock_s is not None and column.dataset == scale:
         return LogChannel(clock_s, "s", clock_s)
-    raw = read_dataset(path, dataset, name)
-    return LogChannel(decode_values(raw, dataset.attrs), unit_attribute(dataset.attrs), clock_s)
+    raw = read_dataset(path, column.dataset, name, column.part)
+    return LogChannel(decode_values(raw, column.dataset.attrs), column.unit, clock_s)

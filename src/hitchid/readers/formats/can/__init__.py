@@ -1,4 +1,4 @@
-"""CAN logs, decoded by DBC files: `.asc` and `.blf` of Vector, MF4 with bus frames."""
+"""CAN logs, decoded by DBC files: of Vector (`.asc`, `.blf`), PEAK (`.trc`), candump, MF4 with bus frames."""
 
 import gzip
 from collections.abc import Iterable, Iterator
@@ -11,12 +11,13 @@ from hitchid.errors import LogError
 from hitchid.readers.content import ChannelSelection
 from hitchid.readers.formats.can.blf import inventory
 from hitchid.readers.formats.can.bus import read_bus as read_bus
+from hitchid.readers.formats.can.candump import candump_frames, is_candump
 from hitchid.readers.formats.can.mf4 import is_bus_log as is_bus_log
 from hitchid.readers.formats.can.mf4 import read_mf4 as read_mf4
 from hitchid.readers.formats.can.streams import Frame
 from hitchid.readers.formats.extra import as_log_errors, import_optional
 
-SUFFIXES = (".asc", ".asc.gz", ".blf")
+SUFFIXES = (".asc", ".asc.gz", ".blf", ".trc", ".log")
 KIND = "a CAN log"
 
 
@@ -33,13 +34,15 @@ def read(path: Path, selection: ChannelSelection) -> Content:
     """
     library = import_optional("can", "can", path)
     notices: list[str] = []
-    frames = (
-        _read_blf(path, library, notices)
-        if path.name.lower().endswith(".blf")
-        else _read_asc(path, library, notices)
-    )
+    readers = {".blf": _read_blf, ".trc": _read_trc, ".log": _read_candump}
+    frames = readers.get(path.suffix.lower(), _read_asc)(path, library, notices)
     content = read_bus(frames, path, selection)
     return replace(content, notices=(*notices, *content.notices))
+
+
+def is_log(path: Path) -> bool:
+    """Return whether a file with one of the endings is a CAN log: `.log` of candump alone."""
+    return path.suffix.lower() != ".log" or is_candump(path)
 
 
 @dataclass
@@ -97,6 +100,25 @@ def _check_absolute(path: Path, reader: Any) -> None:
     if reader.timestamps_format == "relative":
         problem = "its time stamps are relative to the previous line; expected 'base hex timestamps absolute'"
         raise LogError(path, problem)
+
+
+def _read_candump(path: Path, _: Any, notices: list[str]) -> Iterator[Frame]:
+    with as_log_errors(path, KIND), path.open(encoding="latin-1") as stream:
+        yield from candump_frames(stream, notices)
+
+
+def _read_trc(path: Path, library: Any, notices: list[str]) -> Iterator[Frame]:
+    text = _AscText(notices=notices)
+    try:
+        with path.open(encoding="latin-1") as stream:
+            for message in library.TRCReader(text.lines(stream)):
+                # python-can and PEAK count buses from 1.
+                yield _to_frame(message)._replace(bus=message.channel if message.channel else 0)
+    except (LogError, MemoryError):
+        raise
+    except Exception as error:  # python-can may raise anything on a damaged line
+        detail = str(error) or type(error).__name__
+        raise LogError(path, f"cannot be read as {KIND}: {detail}", line=text.line or None) from error
 
 
 def _read_blf(path: Path, library: Any, notices: list[str]) -> Iterator[Frame]:

@@ -1,6 +1,7 @@
 """Bus logs in MF4: the frames of a CAN bus in an MDF file."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from heapq import merge
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from hitchid.readers.content import ChannelSelection
 from hitchid.readers.formats.can.bus import read_bus
 from hitchid.readers.formats.can.streams import Frame
 from hitchid.readers.formats.extra import as_log_errors, import_optional
-from hitchid.readers.formats.mdf.blocks import check_complete
+from hitchid.readers.formats.mdf.blocks import open_mdf
 
 KIND = "an MDF file"
 ID_BITS, EXTENDED_BIT = 0x1FFFFFFF, 0x80000000  # of the stored id: 29 bits, and the flag for them
@@ -32,12 +33,10 @@ def is_bus_log(path: Path) -> bool:
         LogError: the file is damaged or was cut short, or asammdf is not installed.
     """
     asammdf = import_optional("asammdf", "mdf", path)
-    with as_log_errors(path, KIND):
-        check_complete(path)
-        with asammdf.MDF(path, process_bus_logging=False) as log:
-            return any(
-                DATA in _channel_names(group) or f"{DATA}.ID" in _channel_names(group) for group in log.groups
-            )
+    with as_log_errors(path, KIND), open_mdf(path, asammdf, []) as log:
+        return any(
+            DATA in _channel_names(group) or f"{DATA}.ID" in _channel_names(group) for group in log.groups
+        )
 
 
 def read_mf4(path: Path, selection: ChannelSelection) -> Content:
@@ -52,14 +51,14 @@ def read_mf4(path: Path, selection: ChannelSelection) -> Content:
             is not installed.
     """
     asammdf = import_optional("asammdf", "mdf", path)
-    return read_bus(_read_frames(path, asammdf), path, selection)
+    notices: list[str] = []
+    content = read_bus(_read_frames(path, asammdf, notices), path, selection)
+    return replace(content, notices=(*notices, *content.notices))
 
 
-def _read_frames(path: Path, asammdf: Any) -> Iterator[Frame]:
-    with as_log_errors(path, KIND):
-        check_complete(path)
-        with asammdf.MDF(path, process_bus_logging=False) as log:
-            frames_by_group = [_group_frames(path, log, index) for index in range(len(log.groups))]
+def _read_frames(path: Path, asammdf: Any, notices: list[str]) -> Iterator[Frame]:
+    with as_log_errors(path, KIND), open_mdf(path, asammdf, notices) as log:
+        frames_by_group = [_group_frames(path, log, index) for index in range(len(log.groups))]
     # One message may have frames in several groups, received and sent.
     yield from merge(*frames_by_group, key=lambda frame: frame.stamp_s)
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitchid.readers.formats.extra import is_vector, unique_names
+from hitchid.readers.formats.extra import column_names, column_of, is_matrix, is_vector, unique_names
 
 
 class Leaf(NamedTuple):
@@ -32,10 +32,10 @@ class ChannelSource(NamedTuple):
 
 
 def channels_of(tree: Mapping[str, object]) -> dict[str, ChannelSource]:
-    """Return full name to source of every vector of numbers in a file.
+    """Return full name to source of every vector of numbers in a file, and of every column of a matrix.
 
     Fields of structs are named `log/stroke`; signals of a ControlDesk export by their own name, those of a
-    Simulink structure with time `out/label`.
+    Simulink structure with time `out/label`; columns `data(:,2)`, where samples are along the longer side.
 
     Args:
         tree: variable to node: a leaf, a text, a dictionary of fields or a list of such.
@@ -53,7 +53,7 @@ def channels_of(tree: Mapping[str, object]) -> dict[str, ChannelSource]:
 
 def _plain_channels(name: str, node: object) -> list[tuple[str, ChannelSource]]:
     if isinstance(node, Leaf):
-        return [(name, ChannelSource(node))] if is_vector(node.shape) else []
+        return [(column, ChannelSource(leaf)) for column, leaf in _columns(name, node)]
     if not isinstance(node, dict):
         return []
     if isinstance(time := node.get("time"), Leaf) and is_vector(time.shape) and "signals" in node:
@@ -100,10 +100,30 @@ def _simulink(
     pairs = [(f"{name}/time", ChannelSource(time, "s", time))]
     for number, signal in enumerate(signals, start=1):
         values = signal.get("values")
-        if isinstance(values, Leaf) and is_vector(values.shape) and _length(values) == _length(time):
+        if isinstance(values, Leaf) and _length(values) == _length(time):
             label = _text(signal.get("label")) or f"signals({number})"
-            pairs.append((f"{name}/{label}", ChannelSource(values, None, time)))
+            columns = _columns(f"{name}/{label}", values)
+            pairs += [(column, ChannelSource(leaf, None, time)) for column, leaf in columns]
     return pairs
+
+
+def _columns(name: str, leaf: Leaf) -> list[tuple[str, Leaf]]:
+    """Return a vector under its own name, or the columns of a matrix."""
+    if is_vector(leaf.shape):
+        return [(name, leaf)]
+    if not is_matrix(leaf.shape):
+        return []
+    return [
+        (
+            column,
+            Leaf(
+                (max(leaf.shape),),
+                lambda variables, k=index: column_of(leaf.load(variables), k),
+                leaf.variable,
+            ),
+        )
+        for index, column in enumerate(column_names(name, leaf.shape))
+    ]
 
 
 def _struct_list(node: object) -> list[Mapping[str, object]]:

@@ -9,7 +9,7 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 
 from hitchid.errors import LogError
-from hitchid.readers.formats.extra import as_log_errors, is_vector
+from hitchid.readers.formats.extra import as_log_errors, is_matrix, is_vector
 from hitchid.readers.formats.mat.tree import Leaf
 
 KIND = "a MATLAB file up to version 7"
@@ -60,7 +60,7 @@ def open_log(path: Path) -> Iterator[MatFile]:
     structs = _load_variables(path, [name for name, _, kind in listing if kind == "struct"])
     tree: dict[str, object] = {}
     for name, shape, kind in listing:
-        if kind in NUMERIC_CLASSES and is_vector(shape):
+        if kind in NUMERIC_CLASSES and (is_vector(shape) or is_matrix(shape)):
             tree[name] = Leaf(tuple(shape), lambda variables, name=name: variables[name], name)
         elif kind == "struct":
             tree[name] = _node(structs[name])

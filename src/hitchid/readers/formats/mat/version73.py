@@ -89,7 +89,8 @@ def _array(reader: _Reader, item: Any, depth: int) -> object:
     if kind == "" and item.dtype == reader.h5py.ref_dtype:  # one field of an array of structs
         return _Column([_node(reader, item.file[reference], depth + 1) for reference in item[()].ravel()])
     if item.dtype.kind in NUMERIC_KINDS and kind not in NON_NUMERIC_CLASSES:
-        return Leaf(item.shape, lambda _: read_dataset(reader.path, item, item.name.lstrip("/")))
+        # MATLAB stores the transpose.
+        return Leaf(item.shape[::-1], lambda _: read_dataset(reader.path, item, item.name.lstrip("/")).T)
     return None
 
 

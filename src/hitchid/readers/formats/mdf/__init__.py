@@ -20,7 +20,7 @@ from hitchid.readers.formats.extra import (
     unique_names,
     unit_text,
 )
-from hitchid.readers.formats.mdf.blocks import check_complete
+from hitchid.readers.formats.mdf.blocks import open_mdf
 from hitchid.readers.formats.mdf.numbers import (
     holds_numbers,
     is_master,
@@ -45,20 +45,19 @@ def read(path: Path, selection: ChannelSelection) -> Content:
         LogError: the file is damaged or was cut short, a channel is missing, or asammdf is not installed.
     """
     asammdf = import_optional("asammdf", "mdf", path)
-    with as_log_errors(path, KIND):
-        check_complete(path)
-        with asammdf.MDF(path, process_bus_logging=False) as log:
-            locations = _channel_locations(log)
-            masters = {group: master for group in range(len(log.groups)) if (master := _master(log, group))}
-            clocked = {name for name, (group, _) in locations.items() if group in masters}
-            matches = match_clocked_channels(path, list(locations), selection, clocked)
-            groups = {locations[name][0] for name in matches.values()} & masters.keys()
-            clocks = {group: _clock(path, log, group, masters[group]) for group in groups}
-            channels = {
-                requested: _channel(path, log, name, locations[name], clocks)
-                for requested, name in matches.items()
-            }
-    return Content(path, channels)
+    notices: list[str] = []
+    with as_log_errors(path, KIND), open_mdf(path, asammdf, notices) as log:
+        locations = _channel_locations(log)
+        masters = {group: master for group in range(len(log.groups)) if (master := _master(log, group))}
+        clocked = {name for name, (group, _) in locations.items() if group in masters}
+        matches = match_clocked_channels(path, list(locations), selection, clocked)
+        groups = {locations[name][0] for name in matches.values()} & masters.keys()
+        clocks = {group: _clock(path, log, group, masters[group]) for group in groups}
+        channels = {
+            requested: _channel(path, log, name, locations[name], clocks)
+            for requested, name in matches.items()
+        }
+    return Content(path, channels, tuple(notices))
 
 
 def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
