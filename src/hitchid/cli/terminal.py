@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from rich import box
 from rich.table import Table as RichTable
+from rich.text import Text
 
 from hitchid._support.console import PlainConsole, line
 from hitchid._support.progress_display import progress as progress
@@ -179,8 +180,8 @@ def _show_candidates(trace: "ChannelTrace", unit: str) -> None:
 
 
 def _parameters(direction: str, unit: str, trace: "ChannelTrace") -> RichTable:
-    """Return the table of dead zone and parameters; an undetermined parameter has only a verdict."""
-    from hitchid.report import numbers
+    """Return the table of dead zone and parameters; the value of one that is not determined is dim."""
+    from hitchid.report import Faint, numbers
 
     table = _table(direction, "value ± std error", "unit", "verdict", kind=box.SIMPLE_HEAD)
     zone = trace.dead_zone
@@ -189,9 +190,9 @@ def _parameters(direction: str, unit: str, trace: "ChannelTrace") -> RichTable:
     table.add_row("dead zone", value, unit, origin)
     for estimate in trace.phase1.parameter_estimates:
         value = numbers.estimate(estimate)
-        table.add_row(
-            estimate.symbol or estimate.name.replace("_", " "), value, estimate.unit, estimate.verdict
-        )
+        style = "dim" if isinstance(value, Faint) else ""
+        name = estimate.symbol or estimate.name.replace("_", " ")
+        table.add_row(name, Text(value, style), estimate.unit, estimate.verdict)
     return table
 
 
