@@ -143,7 +143,7 @@ def _summary(result: Validation) -> list[Table]:
 def _title(provenance: Provenance) -> str:
     if not provenance.name:
         return "Validation of a model"
-    return f"Validation of {provenance.name}, a model of {provenance.date}"
+    return f"Validation of {provenance.name} ({provenance.date})"
 
 
 def _count(direction: str, count: int) -> str:

@@ -22,7 +22,7 @@ class Terminal(Renderer):
         """Return uses, verdict and summary of the document, without colours."""
         stream = StringIO()
         for use in document.uses:
-            stream.write(fill(use, COLUMNS, subsequent_indent="  ", break_on_hyphens=False) + "\n")
+            stream.write(line(fill(use, COLUMNS, subsequent_indent="  ", break_on_hyphens=False)))
         for finding in document.verdict:
             text = f"{finding.level.value:8}{finding.sentence}"
             stream.write(line(fill(text, COLUMNS, subsequent_indent=" " * 8, break_on_hyphens=False)))
