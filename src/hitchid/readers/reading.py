@@ -28,7 +28,7 @@ KINDS = (str, Path, Frame, Record)
 
 @checks.named_arguments
 def read(
-    logs: str | Path | Iterable[str | Path] | Frame | Mapping[str, Frame] | Record | Iterable[Record],
+    logs: str | Path | Frame | Record | Mapping[str, Frame] | Iterable[str | Path | Frame | Record],
     *,
     signals: str | Path | Mapping[str, object] | None = None,
     strict: bool = False,
