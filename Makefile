@@ -1,7 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup lint test test-all gauntlet gauntlet-full docs reproduce bench study pins clean
+.PHONY: demo setup lint test test-all gauntlet gauntlet-full docs reproduce bench study pins clean
 
 setup: .venv/.ready
 
@@ -10,6 +10,13 @@ setup: .venv/.ready
 	$(BIN)/python -m pip install --disable-pip-version-check --quiet --require-hashes -r pins.txt
 	$(BIN)/python -m pip install --disable-pip-version-check --quiet --no-deps --no-build-isolation -e .
 	touch $@
+
+# The main job on logs that it makes itself: a model with its report, into build/demo.
+demo: setup
+	rm -rf build/demo && mkdir -p build/demo
+	$(BIN)/hitchid bench build/demo/logs
+	$(BIN)/hitchid identify build/demo/logs --out build/demo/model
+	$(BIN)/hitchid validate build/demo/model build/demo/logs --out build/demo/results
 
 lint: setup
 	$(BIN)/ruff check .

@@ -7,6 +7,7 @@ import sys
 import pytest
 
 import handmade
+import hitchid
 from hitchid.model import save
 
 CHILD = """
@@ -104,7 +105,57 @@ wrong = {
         lambda: simulate_log("model", logs, out),
         lambda: save("model", out),
     ],
-    "there is no structure 'spring'": [lambda: hitchid.identify(campaign, structure={"lifting": "spring"})],
+    "there is no structure 'spring'; expected one of": [
+        lambda: hitchid.identify(campaign, structure={"lifting": "spring"}),
+        lambda: hitchid.identify(campaign, structure="spring"),
+    ],
+    "search: expected one of whale, differential-evolution, multi-start": [
+        lambda: hitchid.identify(campaign, search="particles"),
+        lambda: hitchid.identify(campaign, search=3),
+    ],
+    "structure: expected": [lambda: hitchid.identify(campaign, structure=["integrator"])],
+    "expected arguments": [
+        lambda: hitchid.identify(campaign, structures="integrator"),
+        lambda: hitchid.identify(campaign, epochs=10),
+        lambda: hitchid.identify(),
+        lambda: hitchid.identify_many(),
+        lambda: hitchid.cross_validate(campaign, k=5),
+        lambda: hitchid.read(),
+        lambda: hitchid.read(logs, sep=";"),
+        lambda: hitchid.validate(campaign),
+        lambda: hitchid.validate(model, campaign, horizon=10),
+        lambda: hitchid.compare(campaign=campaign),
+        lambda: hitchid.load(),
+        lambda: hitchid.load(folder, "r"),
+        lambda: hitchid.save(model),
+        lambda: model.save(),
+        lambda: model.save(out, overwrite=True),
+        lambda: model.simulate(),
+        lambda: model.simulate(record, dt=0.01),
+        lambda: model.predict(record, steps=10),
+        lambda: model.with_parameters(gain=25),
+        lambda: hitchid.export.to_c(model),
+    ],
+    "signal: expected one of displacement, lifting_command, lowering_command": [
+        lambda: record["position"],
+        lambda: record[0],
+    ],
+    "a record, a DataFrame, the path of a log, columns, or an array": [
+        lambda: model.simulate(campaign),
+        lambda: model.simulate(None),
+        lambda: model.simulate(model),
+    ],
+    "a record, a DataFrame, or the path of a log": [
+        lambda: model.predict(campaign),
+        lambda: model.band(3, horizon=1),
+    ],
+    "files and folders of logs, DataFrames, or records": [
+        lambda: hitchid.read([record, record.to_dataframe()]),
+        lambda: hitchid.read(None),
+        lambda: hitchid.read([3]),
+    ],
+    "expected one record": [lambda: model.simulate(logs), lambda: model.predict(logs)],
+    "a mapping for DataFrames": [lambda: hitchid.read(record.to_dataframe(), signals="campaign.toml")],
     "one of lifting, lowering, got str 'up'": [
         lambda: hitchid.identify(campaign, structure={"up": "integrator"}),
         lambda: hitchid.identify(campaign, dead_zones={"up": 0.1}),
@@ -116,10 +167,8 @@ wrong = {
         lambda: write_campaign(out, directions=["up"]),
     ],
     "expected": [
-        lambda: hitchid.identify(campaign, structure="integrator"),
         lambda: hitchid.identify(campaign, structure={"lifting": 3}),
         lambda: hitchid.identify(campaign, dead_zones={"lifting": [0.1]}),
-        lambda: hitchid.identify(campaign, search="whale"),
         lambda: hitchid.identify(campaign, training="none"),
         lambda: hitchid.identify(campaign, rivals=3),
         lambda: hitchid.identify(campaign, drift="yes"),
@@ -152,7 +201,7 @@ wrong = {
         lambda: hitchid.Campaign.from_dataframes(3),
         lambda: hitchid.Campaign.from_dataframes([record.to_dataframe()], kinds=3),
         lambda: record.convert(["mm"]),
-        lambda: model.simulate("log.csv", step_s=0.01, initial=120.0),
+        lambda: model.simulate(record.to_dataframe()[["time_s", "displacement_mm"]]),
         lambda: model.simulate([[0.5], [0.5, 0.0]], step_s=0.01, initial=120.0),
         lambda: model.simulate(np.zeros(5), step_s="1 ms", initial=120.0),
         lambda: model.simulate(np.zeros(5), step_s=0.01, initial="120"),
@@ -279,6 +328,13 @@ def test_an_integrator_handed_over_has_its_pole_at_one_and_the_gain_of_its_step(
     pole, step = surface["pole"]
     assert pole == [1.0]
     assert step == pytest.approx([60.0 * handmade.GAINS["lifting"]], rel=1e-15)
+
+
+@pytest.mark.parametrize(("whole", "known"), [(hitchid, "identify"), (handmade.hitch(), "simulate")])
+def test_a_name_that_is_not_there_is_answered_by_those_that_are(whole, known):
+    with pytest.raises(AttributeError, match=f"no attribute 'fit'; expected one of .*{known}"):
+        whole.fit  # noqa: B018
+    assert not hasattr(whole, "fit")
 
 
 def test_what_does_not_fit_is_refused_where_it_enters(surface):

@@ -42,6 +42,29 @@ _HOME = {
     "validate": "hitchid.validation",
 }
 
+# Packages of the reference that `import hitchid` gives, as `hitchid.export.to_c`.
+_PACKAGES = (
+    "adaptation",
+    "audit",
+    "control",
+    "design",
+    "errors",
+    "estimation",
+    "experiments",
+    "export",
+    "fleet",
+    "identification",
+    "inspection",
+    "model",
+    "online",
+    "readers",
+    "report",
+    "rig",
+    "structures",
+    "uncertainty",
+    "validation",
+)
+
 __all__ = [
     "Campaign",
     "Hitch",
@@ -61,11 +84,15 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    """Import a public name where it is first used, so that `import hitchid` stays light."""
+    """Import a public name or package where it is first used, so that `import hitchid` stays light."""
     if name == "__version__":
         return import_module("importlib.metadata").version("hitchid")
+    if name in _PACKAGES:
+        return import_module(f"hitchid.{name}")
     if name not in _HOME:
-        raise AttributeError(f"module 'hitchid' has no attribute '{name}'")
+        raise AttributeError(
+            f"module 'hitchid' has no attribute '{name}'; expected one of {', '.join((*__all__, *_PACKAGES))}"
+        )
     return getattr(import_module(_HOME[name]), name)
 
 

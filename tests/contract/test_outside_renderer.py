@@ -95,6 +95,6 @@ def test_each_renderer_writes_its_form(result, tmp_path):
     assert ElementTree.fromstring(render(document, "junit")).get("tests") == "0"  # noqa: S314
     assert "grey box" in render(document, "terminal").decode()
     assert max(map(len, render(document, "terminal").decode().splitlines())) <= 80
-    assert "# Validation of a hitch model" in render(document, "markdown").decode()
+    assert "# Validation of a model" in render(document, "markdown").decode()
     result.to_html(tmp_path / "report.html")
     assert (tmp_path / "report.html").read_bytes() == render(document, "html")

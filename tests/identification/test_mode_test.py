@@ -9,6 +9,8 @@ from hitchid.data.record import LIFTING, LOWERING
 from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.mode_test import compare_modes
 from hitchid.identification.preparation import prepare
+from hitchid.model import TwoModes
+from hitchid.model.provenance import DifferenceTest
 
 ZONE, SAMPLES, NOISE = 0.35, 200, 0.02
 DIRECTIONS = {LIFTING: 1, LOWERING: -1}
@@ -53,6 +55,14 @@ def test_a_plant_with_half_the_gain_one_way_needs_two_modes(prepared):
     assert NOISE / 2 < found.two_rmse < 2 * NOISE
     assert found.shared_rmse > 10 * found.two_rmse
     assert found.sentence.startswith("the two directions differ significantly")
+
+
+def test_an_error_that_two_models_make_much_smaller_is_not_called_insignificant():
+    difference = DifferenceTest(3.0, ("gain",), 3.0, 0.2)
+    few = TwoModes(needed=False, shared_rmse=6.3, two_rmse=1.6, tests=8, difference=difference)
+    assert few.sentence.startswith("two models err 3.94 times less than one")
+    alike = TwoModes(needed=False, shared_rmse=1.7, two_rmse=1.6, tests=8, difference=difference)
+    assert alike.sentence.startswith("the two directions do not differ significantly")
 
 
 def test_one_direction_cannot_be_compared(prepared):

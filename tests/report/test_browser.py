@@ -71,7 +71,7 @@ def everything(timeline):
     accuracy = ReportSection("Accuracy", (WIDE_TABLE, Pictures(narrow)))
     wide = Picture("timeline", timeline, "What mixed logs do.", "Displacement over time.", wide=True)
     return Document(
-        "Validation of a hitch model",
+        "Validation of a model",
         "3 unseen lifting tests",
         reported.FINDINGS,
         (f"{LONG_NAME}: a log of a long name.",),
@@ -131,7 +131,7 @@ def test_a_report_says_nothing_to_the_console_and_asks_for_nothing_but_itself(op
 
 
 def test_sections_are_found_by_their_headings(page):
-    for level, name in ((1, "Validation of a hitch model"), (2, "Verdict"), (3, "Accuracy"), (2, "Logs")):
+    for level, name in ((1, "Validation of a model"), (2, "Verdict"), (3, "Accuracy"), (2, "Logs")):
         heading = page.get_by_role("heading", level=level, name=name, exact=True)
         assert heading.count() == 1
         assert heading.is_visible()

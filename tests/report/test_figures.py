@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import combinations
 from textwrap import fill
 
+import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -519,18 +520,17 @@ def test_an_interval_runs_from_end_to_end_and_open_ends_are_arrows():
         ends = [place if end is None else end for place, end in zip(edge, each.interval, strict=True)]
         np.testing.assert_allclose(bar, ends)
         arrows = [sign for sign, end in zip("<>", each.interval, strict=True) if end is None]
-        assert marks(axes) == arrows + ["|"] * each.determined
+        assert marks(axes) == [*arrows, "|"]
         assert edge[0] < each.value < edge[1]
         unit = "" if each.unit == "1" else f" / {each.unit}"
         assert axes.get_ylabel() == f"{each.symbol}{unit}"
 
 
-def test_an_undetermined_parameter_shows_no_estimate_though_its_interval_is_closed():
+def test_an_undetermined_parameter_shows_its_best_fit_on_a_grey_interval():
     wide = reported.estimate(determined=False, interval=(2.0, 700.0), verdict="not determined")
     (axes,) = figures.intervals([wide]).axes
-    assert marks(axes) == []
-    assert len(axes.get_lines()) == 1
-    assert axes.get_lines()[0].get_color() != COLOURS["benchmark"]
+    assert marks(axes) == ["|"]
+    assert axes.get_lines()[0].get_color() == COLOURS["faint"] != COLOURS["benchmark"]
 
 
 @pytest.mark.parametrize("interval", [(-0.2, 0.3), (0.0, 0.3), (None, 0.1), (-0.2, None), (0.0, 0.0)])
@@ -576,6 +576,25 @@ def test_the_map_of_the_valve_has_gain_and_dead_zone_of_the_benchmark(pressed, r
     for point in points:
         (place,), (middle,) = point.get_data()
         assert middle == pytest.approx(steady(place), abs=1e-6)
+
+
+def test_the_map_of_the_valve_waits_until_a_slow_speed_has_settled(make_record):
+    # K/(s (τ s + 1)) with a lag of 1 s: after 0.25 s a command has moved the speed by 22 % of its change.
+    lag_s, held = 1.0, round(5.0 / reported.STEP_S)
+    slow = handmade.channel(LIFTING, "integrator-first-order")
+    vector = jnp.array([handmade.GAINS[LIFTING], lag_s, 0.0])
+    slow = replace(slow, benchmark=slow.benchmark.with_parameter_vector(vector))
+    command = np.repeat([0.4, 0.5, 0.6, 0.45] * 2, held)
+    settled = handmade.GAINS[LIFTING] * (command - handmade.DEAD_ZONES[LIFTING])
+    decay, speed = np.exp(-reported.STEP_S / lag_s), np.zeros(command.size)
+    for index in range(1, command.size):
+        speed[index] = settled[index - 1] + decay * (speed[index - 1] - settled[index - 1])
+    test = make_record(100 + reported.STEP_S * np.cumsum(speed), command, 0 * command)
+    bins = valve_map(slow, [test], []).bins
+    assert len(bins) == 1
+    # Four lags leave exp(−4) of the largest change of the speed, 0.2 A, and of the first rise, 0.25 A.
+    expected = handmade.GAINS[LIFTING] * (bins[0].command - handmade.DEAD_ZONES[LIFTING])
+    assert bins[0].middle == pytest.approx(expected, abs=handmade.GAINS[LIFTING] * 0.25 * np.exp(-3.8))
 
 
 def test_the_speed_map_shows_speeds_bands_and_measured_points_for_each_load():

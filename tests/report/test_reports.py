@@ -158,7 +158,7 @@ def test_a_report_of_everything_has_every_section(report):
     document = report("whole")
     ends = ["Mixed cycles", "Logs", "How to reproduce"]
     assert titles(document.sections) == ["Lifting", "Lowering", *ends]
-    inside = ["Accuracy", "Errors", "Trust", "Parameters", "Search and training"]
+    inside = ["Measured and simulated", "Parameters", "Accuracy", "Errors", "Trust", "Search and training"]
     for mode in MODES:
         assert titles(section(document, mode.capitalize()).sections) == inside
         pictures = blocks(section(document, mode.capitalize()), Pictures)
@@ -186,7 +186,8 @@ def test_a_report_of_everything_has_every_section(report):
 def test_a_report_has_sections_only_for_what_there_is(report):
     alone = report("lifting alone")
     assert titles(alone.sections) == ["Lifting", "Logs", "How to reproduce"]
-    assert titles(section(alone, "Lifting").sections) == ["Accuracy", "Errors", "Trust", "Parameters"]
+    inside = ["Measured and simulated", "Parameters", "Accuracy", "Errors", "Trust"]
+    assert titles(section(alone, "Lifting").sections) == inside
     names = {each.name for each in alone.pictures}
     assert not {name for name in names if name.startswith(("lowering", "cycles"))}
     assert not {name for name in names if name.endswith(("coverage", "intervals", "convergence", "losses"))}
@@ -196,7 +197,9 @@ def test_a_model_that_diverged_is_reported_without_the_errors_nobody_can_test(re
     document = report("diverging")
     assert "Trust" not in titles(section(document, "Lifting").sections)
     assert "Trust" in titles(section(document, "Lowering").sections)
-    accuracy = blocks(section(document, "Lifting"), Table)[0]
+    (accuracy,) = (
+        table for table in blocks(section(document, "Lifting"), Table) if "accuracy" in table.title
+    )
     (row,) = (row for row in accuracy.rows if row[:2] == ("grey box", "free run"))
     assert set(row[2:]) == {"diverged"}
 
@@ -256,12 +259,12 @@ def judged(validated):
         rows = runs(tests)
         baselines = {
             name: ModelFigures(free_run=RunFigures.of(tests.actual, rows[name]))
-            for name in BASELINES
+            for name in (*BASELINES, "benchmark")
             if name in rows
         }
         models = {name: found for name, found in lifting.accuracy.models.items() if name not in BASELINES}
         accuracy = replace(
-            lifting.accuracy, predictions=replace(tests, models=rows), models={**baselines, **models}
+            lifting.accuracy, predictions=replace(tests, models=rows), models={**models, **baselines}
         )
         channels = {**result.channels, LIFTING: replace(lifting, accuracy=accuracy)}
         return sections.verdict(replace(result, channels=channels), None)
@@ -306,7 +309,7 @@ def test_a_free_run_is_good_where_tests_tell_it_apart_from_every_baseline(judged
     def erring(tests):
         own = tuple(y + factor for y, factor in zip(tests.actual, factors, strict=True))
         rivals = tuple(y + 1.0 for y in tests.actual)
-        return {**tests.models, "free_run": own, **dict.fromkeys(BASELINES, rivals)}
+        return {**tests.models, "free_run": own, "benchmark": own, **dict.fromkeys(BASELINES, rivals)}
 
     rmse = float(np.sqrt(np.mean(np.square(factors))))
     verdict = judged(partial(with_free_run, rmse=rmse, fit=95.0), erring)
@@ -335,17 +338,17 @@ def test_baselines_that_all_diverged_are_told_from_none(judged):
     [(0.5, Rating.BAD), (0.84, Rating.BAD), (0.86, Rating.GOOD), (0.94, Rating.GOOD), (0.99, Rating.CAUTION)],
 )
 def test_a_band_is_judged_by_what_it_holds(judged, covered, level):
-    told = {"covered": covered, "covered_error": 0.01}
+    told = {"covered": covered, "covered_error": 0.01, "horizons": None}
     band = finding(judged(partial(with_bands, **told)), "Lifting", "band")
     assert band.level == level
     assert f"{100 * covered:.0f} % of samples fell inside" in band.sentence
 
 
 def test_a_band_is_not_judged_by_tests_that_tell_little(judged):
-    told = {"covered": 0.8, "covered_error": 0.06}
+    told = {"covered": 0.8, "covered_error": 0.06, "horizons": None}
     band = finding(judged(partial(with_bands, **told)), "Lifting", "band")
     assert (band.level, "not significant" in band.sentence) == (Rating.CAUTION, True)
-    alone = {"covered": 0.8, "covered_error": None}
+    alone = {"covered": 0.8, "covered_error": None, "horizons": None}
     band = finding(judged(partial(with_bands, **alone)), "Lifting", "band")
     assert (band.level, "too few" in band.sentence) == (Rating.CAUTION, True)
 
@@ -372,7 +375,7 @@ def test_nothing_is_said_of_parameters_that_nobody_told(judged):
 
 def test_one_cycle_is_too_few_to_judge(report, validated):
     own = validated("whole").cycles.accuracy.free_run()
-    said = finding(report("whole").verdict, "Mixed cycles")
+    said = finding(report("whole").verdict, "Mixed cycles, free run")
     assert said.level in (Rating.CAUTION, Rating.BAD)
     assert "1 unseen cycle " in said.sentence
     assert f"{own.rmse:.4g} mm" in said.sentence
@@ -382,11 +385,14 @@ LIMITS = 'unit = "mm"\n[lifting]\ntests = {tests}\nfree_run.rmse = {rmse}\n'
 
 
 @pytest.mark.parametrize(("tests", "rmse", "failed"), [(3, 90.0, 0), (3, 1e-3, 1), (99, 1e-3, 2)])
-def test_acceptance_stands_first_and_tells_what_fails(validated, tmp_path, tests, rmse, failed):
+def test_acceptance_tells_what_fails_and_stands_first_where_something_does(
+    validated, tmp_path, tests, rmse, failed
+):
     (tmp_path / "limits.toml").write_text(LIMITS.format(tests=tests, rmse=rmse))
     result = validated("lifting alone")
     acceptance = result.check(read_limits(tmp_path / "limits.toml"))
-    first = sections.verdict(result, acceptance)[0]
+    found = sections.verdict(result, acceptance)
+    first = found[0] if failed else finding(found, "Accepted")
     assert first.level == (Rating.BAD if failed else Rating.GOOD)
     assert first.sentence.startswith("Not accepted" if failed else "Accepted")
     below = sections.limits(acceptance)
@@ -547,7 +553,7 @@ def test_the_verdict_names_the_model_that_errs_less(compared, pair, better):
     (lifting,) = findings(document, "Lifting")
     if better is None:
         assert lifting.level == Rating.CAUTION
-        assert "do not distinguish the models" in lifting.sentence
+        assert "A and B have the same error" in lifting.sentence
     else:
         assert lifting.level == Rating.GOOD
         assert lifting.sentence.startswith(f"Lifting: {better} has a significantly smaller error")
@@ -679,7 +685,7 @@ def test_limits_stand_before_the_directions(validated, campaign, tmp_path):
     acceptance = result.check(read_limits(tmp_path / "limits.toml"))
     document = result.report(acceptance=acceptance)
     assert titles(document.sections)[:2] == ["Acceptance", "Lifting"]
-    assert "ccepted" in document.verdict[0].sentence
+    assert finding(document.verdict, "ccepted").level in Rating
 
 
 def test_notices_of_the_result_are_sentences_of_the_report(report, validated):

@@ -123,6 +123,15 @@ def test_the_summary_of_a_model_tells_the_scatter():
     assert f"load: {found.sentence}" in " ".join(shown.split())
 
 
+def test_no_test_runs_backward_by_its_load():
+    # Speeds of 0.9 and −0.9 are far above the errors: the intervals end where the piston stands.
+    wide = scatter_of(balanced(np.array([-0.9, 0.9, 0.0]), 0.2), NAMES[:3])
+    assert min(test.interval[0] for test in wide.tests) == -1.0
+    assert [test.determined for test in wide.tests] == [test.interval[0] > -1.0 for test in wide.tests]
+    with pytest.raises(FitError, match=f"{NAMES[0]}: the speed would differ"):
+        scatter_of(balanced(np.array([-2.2, 2.6, 0.0]), 0.01), NAMES[:3])
+
+
 def test_two_tests_have_no_scatter(found_in):
     with pytest.raises(FitError, match="1 differences"):
         found_in([1.0, 1.1], names=NAMES[:2])

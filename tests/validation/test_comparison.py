@@ -74,7 +74,18 @@ def test_a_model_is_never_proven_better_than_itself(campaign):
     compared = compare([RIGHT, RIGHT], campaign)
     for mode in compared.sections:
         assert compared.verdict(mode).better is None
-        assert "do not distinguish the models" in verdict_text(compared, mode)
+        assert "A and B have the same error" in verdict_text(compared, mode)
+
+
+def test_two_tests_still_tell_which_model_errs_less_and_by_how_much(campaign):
+    compared = compare([with_gain_times(1.5), RIGHT], Campaign.of(campaign.of_kind(LIFTING)[:2]))
+    best, other = compared.leaderboard().section(LIFTING)
+    assert (best.label, other.standing) == ("B", Standing.UNTESTED)
+    factor = other.free_run.rmse / best.free_run.rmse
+    assert factor > 10
+    said = verdict_text(compared, LIFTING)
+    assert said.startswith("B has the smallest error in free run on 2 of 2 tests")
+    assert f"{factor:.3g} times smaller than that of A; too few for a test of significance" in said
 
 
 def test_tests_that_either_has_seen_are_left_out_for_both(campaign):

@@ -1,10 +1,12 @@
 """Checks of arguments of public functions; errors name the argument, the requirement and the value."""
 
+import inspect
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import wraps
 from numbers import Integral
 from pathlib import Path
-from typing import TypeVar
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 
@@ -12,6 +14,8 @@ from hitchid._support.summary import shortened
 from hitchid.errors import InputError
 
 Kind = TypeVar("Kind")
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
 MAX_SHOWN = 60  # characters of a value in a message (chosen)
 
 
@@ -30,6 +34,30 @@ def instance(value: object, kind: type[Kind] | tuple[type[Kind], ...], name: str
     if not isinstance(value, kind):
         raise input_error(name, required, value)
     return value
+
+
+def named_arguments(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Decorate a public function: a call with arguments that it does not take names those that it takes.
+
+    Raises:
+        InputError: an argument is missing, given twice, or has a name that is not known.
+    """
+
+    @wraps(function)
+    def wrapper(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        try:
+            return function(*args, **kwargs)
+        except TypeError:
+            signature = inspect.signature(function)
+            try:
+                signature.bind(*args, **kwargs)
+            except TypeError as error:
+                parameters = ", ".join(name for name in signature.parameters if name != "self")
+                message = f"{function.__name__}: {error}; expected arguments {parameters}"
+                raise InputError(message) from None
+            raise
+
+    return wrapper
 
 
 def number(value: object, name: str, *, above: float = -math.inf) -> float:

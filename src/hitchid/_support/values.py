@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sized
 from dataclasses import fields, is_dataclass
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,15 @@ class Value:
 
     A copy, also one from another process, is built again by the constructor, which makes it read-only.
     """
+
+    if not TYPE_CHECKING:  # otherwise a type checker takes every attribute for known
+
+        def __getattr__(self, name: str) -> object:
+            """Raise AttributeError, which names the public attributes."""
+            known = [known for known in dir(type(self)) if not known.startswith("_")]
+            known += [field.name for field in fields(self) if field.name not in known]
+            listed = f"; expected one of {', '.join(sorted(known))}" if not name.startswith("_") else ""
+            raise AttributeError(f"'{type(self).__name__}' has no attribute '{name}'{listed}")
 
     def __eq__(self, other: object) -> bool:
         """Return whether type and content are the same; arrays are compared sample by sample."""

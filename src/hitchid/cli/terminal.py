@@ -1,7 +1,8 @@
 """Terminal output: tables, verdicts, notices."""
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from io import StringIO
 from math import expm1
 from pathlib import Path
 from textwrap import fill
@@ -9,10 +10,11 @@ from typing import TYPE_CHECKING
 
 from rich import box
 from rich.table import Table as RichTable
+from rich.text import Text
 
 from hitchid._support.console import PlainConsole, line
 from hitchid._support.progress_display import progress as progress
-from hitchid.data.record import COMMAND
+from hitchid.data.record import COMMAND, DISPLACEMENT
 from hitchid.data.segmentation import LABELS
 
 if TYPE_CHECKING:
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from hitchid.validation import Acceptance
 
 COLUMNS = 80  # characters, width of narrow output (chosen)
+WIDEST = 1000  # characters of a line with the longest name of a log (chosen)
 MAX_SPANS = 3  # intervals listed for one finding (chosen)
 MAX_MACHINES = 20  # of a fleet that are shown (chosen)
 SHOWN_PARAMETERS = 3  # that a controller depends on most (chosen)
@@ -39,21 +42,10 @@ SHOWN_PARAMETERS = 3  # that a controller depends on most (chosen)
 def show_inspection(inspection: "Inspection") -> None:
     """Print the result of an inspection."""
     if inspection.records:
-        table = _table("record", "kind", "samples", "step / s", "duration / s", "signals")
-        for record in inspection.records:
-            ranges = [
-                f"{role} {signal.lowest:.4g} … {signal.highest:.4g} {signal.unit}"
-                for role, signal in record.signals.items()
-            ]
-            table.add_row(
-                record.name,
-                f"{record.kind}, held out" if record.held_out else record.kind,
-                str(record.quality.samples),
-                f"{record.quality.step_s:.4g}",
-                f"{record.quality.duration_s:.4g}",
-                "\n".join(ranges),
-            )
-        _console().print(table)
+        _print_whole(_records(inspection))
+        _print_whole(_signals(inspection))
+        for sentence in _split(inspection):
+            _print_wrapped(sentence, 2)
     if inspection.mixed:
         labels = [label for label in LABELS if any(label in r.durations_s for r in inspection.mixed)]
         table = _table("mixed record", *(f"{label} / s" for label in labels), "stretches")
@@ -69,6 +61,50 @@ def show_inspection(inspection: "Inspection") -> None:
     write_messages("notice", inspection.notices)
     write_messages("warning", inspection.warnings)
     write_messages("fault", inspection.faults)
+
+
+def _records(inspection: "Inspection") -> RichTable:
+    """Return a line for each log, its name last, so that a long one makes no other column narrow."""
+    numbers = ("samples", "step / s", "duration / s", "displacement")
+    table = _table("kind", *numbers, "log", kind=box.SIMPLE_HEAD)
+    for column in table.columns[1:-1]:
+        column.justify = "right"
+    for record in inspection.records:
+        travel = record.signals[DISPLACEMENT]
+        table.add_row(
+            f"{record.kind}, held out" if record.held_out else record.kind,
+            str(record.quality.samples),
+            f"{record.quality.step_s:.4g}",
+            f"{record.quality.duration_s:.4g}",
+            f"{travel.lowest:.4g} … {travel.highest:.4g} {travel.unit}",
+            record.name,
+        )
+    return table
+
+
+def _signals(inspection: "Inspection") -> RichTable:
+    """Return a line for each signal: its smallest and largest value over all logs."""
+    ranges: dict[tuple[str, str], tuple[float, float]] = {}
+    for record in inspection.records:
+        for role, signal in record.signals.items():
+            low, high = ranges.get((role, signal.unit), (signal.lowest, signal.highest))
+            ranges[role, signal.unit] = min(low, signal.lowest), max(high, signal.highest)
+    table = _table("smallest", "largest", "unit", "signal", kind=box.SIMPLE_HEAD)
+    for (role, unit), (low, high) in ranges.items():
+        table.add_row(f"{low:.4g}", f"{high:.4g}", unit, role)
+    return table
+
+
+def _split(inspection: "Inspection") -> Iterator[str]:
+    """Yield for each kind with held-out tests how many there are, and their names."""
+    kinds = dict.fromkeys(record.kind for record in inspection.records if record.held_out)
+    for kind in kinds:
+        records = [record for record in inspection.records if record.kind == kind]
+        held_out = [record.name for record in records if record.held_out]
+        yield (
+            f"{kind}: identified from {len(records) - len(held_out)} of {len(records)} tests; held out for "
+            f"validation: {', '.join(held_out)}"
+        )
 
 
 def show_drift(rows: "Sequence[ValidationRow]") -> None:
@@ -179,8 +215,8 @@ def _show_candidates(trace: "ChannelTrace", unit: str) -> None:
 
 
 def _parameters(direction: str, unit: str, trace: "ChannelTrace") -> RichTable:
-    """Return the table of dead zone and parameters; an undetermined parameter has only a verdict."""
-    from hitchid.report import numbers
+    """Return the table of dead zone and parameters; the value of one that is not determined is dim."""
+    from hitchid.report import Faint, numbers
 
     table = _table(direction, "value ± std error", "unit", "verdict", kind=box.SIMPLE_HEAD)
     zone = trace.dead_zone
@@ -189,9 +225,9 @@ def _parameters(direction: str, unit: str, trace: "ChannelTrace") -> RichTable:
     table.add_row("dead zone", value, unit, origin)
     for estimate in trace.phase1.parameter_estimates:
         value = numbers.estimate(estimate)
-        table.add_row(
-            estimate.symbol or estimate.name.replace("_", " "), value, estimate.unit, estimate.verdict
-        )
+        style = "dim" if isinstance(value, Faint) else ""
+        name = estimate.symbol or estimate.name.replace("_", " ")
+        table.add_row(name, Text(value, style), estimate.unit, estimate.verdict)
     return table
 
 
@@ -333,6 +369,15 @@ def _table(*header: str, kind: box.Box = box.HEAVY_HEAD) -> RichTable:
 
 def _console() -> PlainConsole:
     return PlainConsole(width=None if sys.stdout.isatty() else 120)
+
+
+def _print_whole(table: RichTable) -> None:
+    """Print a table whose last column may be wider than the terminal: nothing is cut, no line is padded."""
+    text = StringIO()
+    PlainConsole(file=text, width=WIDEST).print(table)
+    for row in text.getvalue().splitlines():
+        rule = row.strip(" ─") == ""
+        sys.stdout.write(f"{row[:COLUMNS] if rule else row}".rstrip() + "\n")
 
 
 def _narrow_console() -> PlainConsole:

@@ -10,26 +10,25 @@ from hitchid.data.campaign import Campaign
 from hitchid.errors import HitchError
 from hitchid.estimation import Search
 from hitchid.identification import (
-    AutoStructure,
     CompensatorConfig,
     Identification,
-    ModelSpec,
     RivalsConfig,
     identify_many,
 )
-from hitchid.identification.arguments import check_campaign
+from hitchid.identification.arguments import Structures, check_campaign
 from hitchid.identification.identify import DEFAULT_STRUCTURES, NO_DEAD_ZONES, TRAINING, WHALE
 from hitchid.validation import validate
 
 IDENTIFICATION_SHARE = 0.9  # of the work; the rest is validation (measured at default settings)
 
 
+@checks.named_arguments
 def cross_validate(
     campaign: Campaign,
     folds: int = 5,
     *,
-    structure: Mapping[str, ModelSpec | AutoStructure | str] = DEFAULT_STRUCTURES,
-    search: Search = WHALE,
+    structure: Structures = DEFAULT_STRUCTURES,
+    search: Search | str = WHALE,
     training: CompensatorConfig | None = TRAINING,
     dead_zones: Mapping[str, float] = NO_DEAD_ZONES,
     drift: bool = False,

@@ -125,6 +125,20 @@ class Record(Value, Summarised):
         """Return the number of samples."""
         return len(self.signals[DISPLACEMENT])
 
+    def __getitem__(self, signal: str) -> np.ndarray:
+        """Return a signal by its name, such as `displacement` or `lifting_command`, shape [N].
+
+        Raises:
+            InputError: the record has no such signal.
+        """
+        return self.signals[checks.one_of(signal, self.signals, f"record '{self.name}': signal")]
+
+    def __contains__(self, signal: object) -> bool:
+        """Return whether the record has a signal of this name."""
+        return signal in self.signals
+
+    __iter__ = None  # a record is neither a sequence of samples nor of signals
+
     @property
     def time_s(self) -> np.ndarray:
         """Time of each sample in the log, s, shape [N]."""

@@ -145,6 +145,7 @@ class VerifiedSource:
         return () if self.parity else (UNVERIFIED,)
 
 
+@checks.named_arguments
 @double_precision
 def to_c(
     model: Hitch,

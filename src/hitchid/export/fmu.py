@@ -52,6 +52,7 @@ PLATFORMS = {
 }
 
 
+@checks.named_arguments
 @double_precision
 def to_fmu(
     model: Hitch,

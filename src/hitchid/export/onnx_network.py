@@ -34,6 +34,7 @@ class NetworkParity(NamedTuple):
     reads: int
 
 
+@checks.named_arguments
 @double_precision
 def to_onnx(model: Hitch, folder: str | Path, *, name: str = "hitch", force: bool = False) -> Export:
     """Write the compensators for predictions as ONNX, `NAME_DIRECTION.onnx` for each channel that has one.

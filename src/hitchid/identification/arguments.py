@@ -1,20 +1,27 @@
 """Checks of the arguments of an identification, and the configuration made from them."""
 
 from collections.abc import Mapping
+from types import MappingProxyType
 
 from hitchid._support import checks
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import DIRECTIONS
 from hitchid.errors import InputError
-from hitchid.estimation import Search
+from hitchid.estimation import DifferentialEvolution, MultiStart, Search, Whale
 from hitchid.identification.config import IdentificationConfig
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.rivals import RivalsConfig
 from hitchid.identification.selection import AutoStructure
-from hitchid.structures import ModelSpec, structure_named
+from hitchid.structures import ModelSpec, registered_structures, structure_named
 
 LARGEST_SEED = 2**32 - 1  # upper limit of the seeds of NumPy's and JAX's generators
+AUTOMATIC = "automatic"  # the name of the default choice of each direction
+SEARCHES: Mapping[str, Search] = MappingProxyType(
+    {search.name: search for search in (Whale(), DifferentialEvolution(), MultiStart())}
+)
 CAMPAIGN = 'a campaign as hitchid.read("logs") returns it'
+
+Structures = ModelSpec | AutoStructure | str | Mapping[str, ModelSpec | AutoStructure | str]
 
 
 def check_campaign(value: object) -> Campaign:
@@ -26,8 +33,8 @@ def identification_config(
     default_specs: Mapping[str, ModelSpec | AutoStructure],
     paper_specs: Mapping[str, ModelSpec],
     *,
-    structure: Mapping[str, ModelSpec | AutoStructure | str],
-    search: Search,
+    structure: Structures,
+    search: Search | str,
     training: CompensatorConfig | None,
     dead_zones: Mapping[str, float],
     drift: bool,
@@ -44,7 +51,11 @@ def identification_config(
     Raises:
         InputError: an argument has the wrong type, or a value outside its limits.
     """
-    checks.instance(search, Search, "search", "Whale, DifferentialEvolution or MultiStart")
+    if isinstance(search, str):
+        search = SEARCHES[checks.one_of(search, SEARCHES, "search")]
+    checks.instance(
+        search, Search, "search", f"one of {', '.join(SEARCHES)}, or a Search of hitchid.estimation"
+    )
     checks.instance(training, (CompensatorConfig, type(None)), "training", "CompensatorConfig or None")
     checks.instance(drift, bool, "drift", "True or False")
     if checks.integer(seed, "seed") > LARGEST_SEED:
@@ -52,9 +63,11 @@ def identification_config(
     for direction, dead_zone in checks.mapping_of(dead_zones, DIRECTIONS, "dead_zones").items():
         if checks.number(dead_zone, f"dead_zones, {direction}") < 0:
             raise InputError(f"dead_zones, {direction}: expected at least 0, got {dead_zone}")
+    if isinstance(structure, str | ModelSpec | AutoStructure):
+        structure = dict.fromkeys(DIRECTIONS, structure)
     structures = checks.mapping_of(structure, DIRECTIONS, "structure")
     specs = {
-        direction: _spec_of(structures.get(direction, default_specs[direction]), direction)
+        direction: _spec_of(structures.get(direction, AUTOMATIC), direction, default_specs[direction])
         for direction in DIRECTIONS
     }
     return IdentificationConfig(
@@ -62,8 +75,11 @@ def identification_config(
     )
 
 
-def _spec_of(value: object, direction: str) -> ModelSpec | AutoStructure:
+def _spec_of(value: object, direction: str, default: ModelSpec | AutoStructure) -> ModelSpec | AutoStructure:
+    if value == AUTOMATIC:
+        return default
     if isinstance(value, str):
         return ModelSpec(structure_named(value))
-    required = "the name of a structure, ModelSpec or AutoStructure"
+    names = ", ".join((AUTOMATIC, *registered_structures()))
+    required = f"one of {names}, or a ModelSpec or AutoStructure"
     return checks.instance(value, (ModelSpec, AutoStructure), f"structure, {direction}", required)

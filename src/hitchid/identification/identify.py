@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
-from hitchid._support.checks import path, tuple_of
+from hitchid._support.checks import named_arguments, path, tuple_of
 from hitchid._support.precision import double_precision
 from hitchid._support.progress import ProgressCallback
 from hitchid._support.progress_display import shown
@@ -12,7 +12,7 @@ from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import HitchError
 from hitchid.estimation import Search, Whale
-from hitchid.identification.arguments import CAMPAIGN, check_campaign, identification_config
+from hitchid.identification.arguments import CAMPAIGN, Structures, check_campaign, identification_config
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.pipeline import PhysicsCallback, run_pipeline
 from hitchid.identification.result import Identification
@@ -38,12 +38,13 @@ TRAINING = CompensatorConfig()
 NO_DEAD_ZONES: Mapping[str, float] = MappingProxyType({})
 
 
+@named_arguments
 @double_precision
 def identify(
     campaign: Campaign,
     *,
-    structure: Mapping[str, ModelSpec | AutoStructure | str] = DEFAULT_STRUCTURES,
-    search: Search = WHALE,
+    structure: Structures = DEFAULT_STRUCTURES,
+    search: Search | str = WHALE,
     training: CompensatorConfig | None = TRAINING,
     dead_zones: Mapping[str, float] = NO_DEAD_ZONES,
     drift: bool = False,
@@ -61,10 +62,11 @@ def identify(
 
     Args:
         campaign: tests; ramps, where there are any, give the dead zones.
-        structure: direction to the form of its benchmark or the name of a structure, or `AutoStructure` for
-            the choice by free run on operating points held out in turn, the default of each direction;
-            `PAPER_SPECS` are the paper's.
-        search: the global search of phase 1: `Whale`, `DifferentialEvolution` or `MultiStart`.
+        structure: name of a structure or form of a benchmark, for both directions or by direction;
+            "automatic", the default, or `AutoStructure` for the choice by free run on operating points held
+            out in turn; `PAPER_SPECS` are the paper's.
+        search: the global search of phase 1: "whale", "differential-evolution" or "multi-start", or one with
+            settings, `Whale`, `DifferentialEvolution` or `MultiStart`.
         training: settings of phase 2; None identifies benchmarks alone.
         dead_zones: direction to dead zone, in the command's unit, where it is known.
         drift: whether the drift of a held piston is identified; otherwise it is zero.
@@ -103,12 +105,13 @@ def identify(
     return result
 
 
+@named_arguments
 @double_precision
 def identify_many(
     campaigns: Sequence[Campaign],
     *,
-    structure: Mapping[str, ModelSpec | AutoStructure | str] = DEFAULT_STRUCTURES,
-    search: Search = WHALE,
+    structure: Structures = DEFAULT_STRUCTURES,
+    search: Search | str = WHALE,
     training: CompensatorConfig | None = TRAINING,
     dead_zones: Mapping[str, float] = NO_DEAD_ZONES,
     drift: bool = False,

@@ -19,6 +19,7 @@ from hitchid.model import Hitch
 SEARCHES = SearchComparison()
 
 
+@checks.named_arguments
 @double_precision
 def train_rivals(
     model: Hitch,

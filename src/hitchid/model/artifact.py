@@ -43,6 +43,7 @@ RIVALS_WEIGHTS_FILE = "rivals.safetensors"
 MAX_BYTES = 2**28  # of one file; chosen: a hundred times the largest model seen
 
 
+@checks.named_arguments
 def save(
     hitch: Hitch, folder: str | Path, *, trace: Mapping[str, object] | None = None, force: bool = False
 ) -> None:
@@ -82,6 +83,7 @@ def save(
     write_folder(checks.path(folder, "folder"), write, result_kind=MODEL_FILE, force=force)
 
 
+@checks.named_arguments
 @double_precision
 def load(folder: str | Path) -> Hitch:
     """Read a model folder; digests, keys, types and bounds are checked, as it may come from a stranger.

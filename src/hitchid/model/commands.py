@@ -1,12 +1,14 @@
-"""Commands without a measurement, from an array or a table."""
+"""What a simulation takes: a record, or what is one, or commands without a measurement."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jax.typing import ArrayLike
 
 from hitchid._support import checks
+from hitchid._support.values import Value
 from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT, LIFTING, LOWERING, Record
 from hitchid.errors import InputError
 
@@ -31,8 +33,52 @@ class Frame(Protocol):
         ...
 
 
+COMMANDS = "a record, a DataFrame, the path of a log, columns, or an array of shape [N, 2] or [N]"
 Numbers = ArrayLike | SupportsArray | Sequence[Any]
 Commands = Mapping[str, Numbers] | Frame | Numbers
+
+
+def record_or_commands(
+    value: Record | Commands | str | Path, directions: Sequence[str], step_s: float | None
+) -> Record | Commands:
+    """Return the record of a log's path, or of a table that has its own clock; anything else as it is.
+
+    Args:
+        value: see `Hitch.simulate`.
+        directions: directions of the model's channels.
+        step_s: sampling time of commands; None for a record.
+    """
+    if isinstance(value, str | Path):
+        return required_record(value)
+    if isinstance(value, Frame):
+        has_commands = {COMMAND[direction] for direction in directions} <= set(value.columns)
+        return value if has_commands or step_s is not None else required_record(value)
+    if isinstance(value, Value) and not isinstance(value, Record):
+        raise checks.input_error("commands", COMMANDS, value)
+    if not isinstance(value, Record | Mapping):
+        _numbers(value, 1, 2)  # what is no command at all is refused before a missing initial displacement
+    return value
+
+
+def required_record(value: object) -> Record:
+    """Return a record, or the one of a table or of a log's path.
+
+    Raises:
+        InputError: it is none of them, the log or table cannot be used, or gaps divide it.
+    """
+    if isinstance(value, str | Path):
+        from hitchid.readers import read  # not for a model that is loaded and stepped
+
+        campaign = read(value)
+        if len(campaign) > 1:
+            raise InputError(
+                f"{value}: expected one record, got {len(campaign)}: "
+                f"{', '.join(record.name for record in campaign)}; hitchid.read gives each of them"
+            )
+        return campaign.records[0]
+    if isinstance(value, Frame):
+        return Record.from_dataframe(value)
+    return checks.instance(value, Record, "record", "a record, a DataFrame, or the path of a log")
 
 
 def record_of_commands(
@@ -88,5 +134,5 @@ def _numbers(values: Numbers, *dimensions: int) -> np.ndarray:
     except (TypeError, ValueError) as error:
         raise checks.input_error("commands", "numbers", values) from error
     if array.dtype.kind not in "iuf" or array.ndim not in dimensions:
-        raise checks.input_error("commands", "a record, columns, or an array of shape [N, 2] or [N]", values)
+        raise checks.input_error("commands", COMMANDS, values)
     return array.astype(np.float64)

@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, cast
 
+from hitchid._support.checks import named_arguments
 from hitchid.model.commands import Numbers
 from hitchid.model.inverse_table import InverseTable, make_inverse_table
 from hitchid.model.linearisation import Linearisation, linearise_hitch
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 class Handover:
     """The part of `Hitch` that a controller is designed from."""
 
+    @named_arguments
     def speed(
         self,
         command: Numbers,
@@ -43,6 +45,7 @@ class Handover:
         """
         return speed_with_band(_hitch(self), command, direction, displacement=displacement, load=load)
 
+    @named_arguments
     def inverse_table(
         self,
         direction: str | None = None,
@@ -63,6 +66,7 @@ class Handover:
         """
         return make_inverse_table(_hitch(self), direction, speeds, displacement=displacement, load=load)
 
+    @named_arguments
     def linearise(
         self,
         direction: str | None = None,
@@ -94,6 +98,7 @@ class Handover:
         point = {"command": command, "displacement": displacement, "load": load}
         return linearise_hitch(_hitch(self), direction, **point, draws=draws, seed=seed)
 
+    @named_arguments
     def to_scipy(
         self,
         direction: str | None = None,
@@ -107,6 +112,7 @@ class Handover:
         point = {"command": command, "displacement": displacement, "load": load}
         return self.linearise(direction, **point, draws=0).to_scipy(step_s)
 
+    @named_arguments
     def to_control(
         self,
         direction: str | None = None,

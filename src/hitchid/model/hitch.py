@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from hitchid._support import checks
+from hitchid._support.checks import named_arguments
 from hitchid._support.precision import double_precision
 from hitchid._support.summary import Summarised, Summary
 from hitchid._support.values import Value
@@ -21,7 +23,7 @@ from hitchid.errors import InputError
 from hitchid.model import conversion, extrapolation, pickling, plotting, thresholds
 from hitchid.model.bands import Band, Bands, bands_by_channel
 from hitchid.model.channel import Channel
-from hitchid.model.commands import Commands, Numbers
+from hitchid.model.commands import Commands, Frame, Numbers, record_or_commands, required_record
 from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
 from hitchid.model.free_run import last_measured, multi_step_predictions
 from hitchid.model.handover import Handover
@@ -200,10 +202,11 @@ class Hitch(Value, Summarised, Handover):
         """
         return self._functions_of(state).switching(state)
 
+    @named_arguments
     @double_precision
     def simulate(
         self,
-        commands: Record | Commands,
+        commands: Record | Commands | str | Path,
         *,
         step_s: float | None = None,
         initial: Numbers | None = None,
@@ -216,10 +219,11 @@ class Hitch(Value, Summarised, Handover):
         loads are simulated at the same time.
 
         Args:
-            commands: a record, whose displacement and covariates count only before motion; or commands in
-                the model's units: columns `lifting_command` and `lowering_command` of a mapping or
-                DataFrame, an array of both, shape [N, 2], or one command, shape [N]: that of a model of one
-                channel, otherwise positive for lifting and negative for lowering.
+            commands: a record, whose displacement and covariates count only before motion, or what is one: a
+                DataFrame as `Record.from_dataframe` takes it, or the path of a log; or commands in the
+                model's units: columns `lifting_command` and `lowering_command` of a mapping or DataFrame, an
+                array of both, shape [N, 2], or one command, shape [N]: that of a model of one channel,
+                otherwise positive for lifting and negative for lowering.
             step_s: sampling time of commands without a record, s; they are resampled as those of a log.
             initial: initial displacement, in the model's unit, shape [] or [M]; required without a record.
             load: covariate before motion, in the model's unit, shape [] or [M], or several by name; required
@@ -232,15 +236,17 @@ class Hitch(Value, Summarised, Handover):
         """
         dynamics = self.free_run_dynamics(compensated=compensated)
         model = SimulatedModel(dynamics, dict(self.units), self.bands if compensated else {})
-        return simulate(model, commands, step_s=step_s, initial=initial, load=load)
+        given = record_or_commands(commands, tuple(self.channels), step_s)
+        return simulate(model, given, step_s=step_s, initial=initial, load=load)
 
-    def predict(self, record: Record, *, horizon: int = 1) -> np.ndarray:
+    @named_arguments
+    def predict(self, record: Record | Frame | str | Path, *, horizon: int = 1) -> np.ndarray:
         """Return the prediction of each sample from displacement measured up to `horizon` samples before.
 
         The first `horizon` samples are predicted from the first one. All commands are taken as known.
 
         Args:
-            record: commands and displacement.
+            record: commands and displacement, or what `simulate` makes a record of.
             horizon: prediction horizon, in samples, at least 1.
 
         Returns:
@@ -251,8 +257,11 @@ class Hitch(Value, Summarised, Handover):
         """
         return self.predictions(record, (horizon,))[0]
 
+    @named_arguments
     @double_precision
-    def predictions(self, record: Record, horizons: Sequence[int], *, stride: int = 1) -> np.ndarray:
+    def predictions(
+        self, record: Record | Frame | str | Path, horizons: Sequence[int], *, stride: int = 1
+    ) -> np.ndarray:
         """Return `predict` for several horizons at once, shape [H, N].
 
         Args:
@@ -266,13 +275,15 @@ class Hitch(Value, Summarised, Handover):
         if not horizons:
             raise InputError("horizons: expected at least one number of samples, got none")
         checks.integer(stride, "stride", minimum=1)
+        record = required_record(record)
         model_record = self.to_model_units(record)
         initial = conversion.initial_condition(model_record, self.channels)
         rows = multi_step_predictions(self.dynamics, model_record, initial, horizons, stride)
         return np.stack([self._to_record_units(row, model_record, record) for row in rows])
 
+    @named_arguments
     @double_precision
-    def band(self, record: Record, *, horizon: int, coverage: float = 0.9) -> Band:
+    def band(self, record: Record | Frame | str | Path, *, horizon: int, coverage: float = 0.9) -> Band:
         """Return the band around `predict` that contains the measured displacement for a share of samples.
 
         Its half width is that of the channel in charge and grows with the predicted movement since the last
@@ -288,6 +299,7 @@ class Hitch(Value, Summarised, Handover):
         checks.number(coverage, "coverage")
         checks.integer(horizon, "horizon", minimum=1)
         bands = bands_by_channel(self.bands, tuple(self.channels))
+        record = required_record(record)
         model_record = self.to_model_units(record)
         initial = conversion.initial_condition(model_record, self.channels)
         (predicted,) = multi_step_predictions(self.dynamics, model_record, initial, (horizon,), 1)
@@ -315,11 +327,28 @@ class Hitch(Value, Summarised, Handover):
             if direction in self.channels and known.bands is not None
         }
 
+    @named_arguments
+    def save(self, folder: str | Path, *, force: bool = False) -> None:
+        """Write the model to a folder, for `hitchid.load`; see `hitchid.save`.
+
+        Args:
+            folder: folder to write; must not exist unless `force`.
+            force: replace an existing model folder.
+
+        Raises:
+            InputError: `folder` is not a path.
+            OutputError: the folder exists, or cannot be written.
+        """
+        from hitchid.model.artifact import save
+
+        save(self, folder, force=force)
+
     @property
     def parameters(self) -> ParameterTable:
         """Parameters of all directions, with unit, standard error, 95 % interval and verdict."""
         return parameter_table(self)
 
+    @named_arguments
     def with_parameters(
         self, *, lifting: Mapping[str, float] | None = None, lowering: Mapping[str, float] | None = None
     ) -> "Hitch":
@@ -338,6 +367,7 @@ class Hitch(Value, Summarised, Handover):
         """
         return with_parameters(self, {"lifting": lifting, "lowering": lowering})
 
+    @named_arguments
     def adapt(
         self,
         records: Iterable[Record],

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from hitchid._support.short_repr import short_repr
 from hitchid.model.estimates import Interval
 
+STANDSTILL = -1.0  # speed of a test above the model's, relative, at which the piston stands
 MAX_SHRINKAGE = 0.3  # of a scatter that is determined; Savic & Karlsson 2009 call 0.2 to 0.3 high
 
 
@@ -16,12 +17,17 @@ class LoadOfTest:
     Attributes:
         test: its name.
         speed: b, relative: 0.04 runs 4 % fast.
-        interval: 95 % interval.
+        interval: 95 % interval; −1 at least, at which the piston stands.
     """
 
     test: str
     speed: float
     interval: tuple[float, float]
+
+    @property
+    def determined(self) -> bool:
+        """Whether the interval excludes a piston that stands, which no load of a test that moves explains."""
+        return self.interval[0] > STANDSTILL
 
 
 @short_repr

@@ -7,7 +7,7 @@ import numpy as np
 
 from hitchid._support import checks
 from hitchid._support.precision import double_precision
-from hitchid.data.record import COMMAND, DISPLACEMENT
+from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT
 from hitchid.errors import InputError
 from hitchid.model import responses
 from hitchid.model.channel import Channel
@@ -18,9 +18,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from hitchid.model.hitch import Hitch
+    from hitchid.model.simulation import Simulation
     from hitchid.plots import SpeedCurve
 
 MAP_IN, STEP_IN, BODE_IN = 3.2, 4.4, 4.4  # heights of new figures, inch; chosen
+MAX_RUNS = 8  # of a simulation from several initial displacements or loads; chosen
 MAP_POINTS = 25  # of a speed map without characteristics; chosen
 
 
@@ -52,6 +54,25 @@ def plot_speed_map(model: "Hitch", axes: "Axes | Sequence[Axes] | np.ndarray | N
                 draw_characteristics(each, known)
             if axes is None:
                 each.set_title(_map_title(model, direction, known), loc="left")
+    return drawn
+
+
+def plot_simulation(
+    simulation: "Simulation", axes: "Sequence[Axes] | np.ndarray | None" = None
+) -> np.ndarray:
+    """Draw simulated displacement above and the commands below; see `Simulation.plot`."""
+    from hitchid.plots import canvas, draw_commands, draw_displacement
+
+    units = simulation.model.units
+    commands = {
+        channel.direction: simulation.inputs.commands[:, DIRECTIONS.index(channel.direction)]
+        for channel in simulation.model.dynamics.channels
+    }
+    with canvas(axes, 2, height_in=STEP_IN, sharex=True, height_ratios=[2, 1]) as drawn:
+        for run in np.atleast_2d(simulation.displacement)[:MAX_RUNS]:
+            draw_displacement(drawn[0], simulation.time_s, run, simulation.unit)
+        shown = dict.fromkeys(units[COMMAND[direction]] for direction in commands)
+        draw_commands(drawn[1], simulation.model_time_s, commands, ", ".join(shown))
     return drawn
 
 

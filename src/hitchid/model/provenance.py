@@ -5,6 +5,10 @@ from dataclasses import dataclass, field
 
 from hitchid._support.short_repr import short_repr
 
+CLEAR_RATIO = (
+    1.25  # of the errors of one shared and of two models, from which on two are clearly better; chosen
+)
+
 
 @short_repr
 @dataclass(frozen=True)
@@ -91,11 +95,16 @@ class TwoModes:
     @property
     def sentence(self) -> str:
         """Sentence that states the result."""
-        verdict = (
-            "the two directions differ significantly"
-            if self.needed
-            else "the two directions do not differ significantly"
-        )
+        if self.needed:
+            verdict = "the two directions differ significantly"
+        elif self.shared_rmse > CLEAR_RATIO * self.two_rmse:
+            # Few tests: the error tells the directions apart before a test of their parameters can.
+            verdict = (
+                f"two models err {self.shared_rmse / self.two_rmse:.3g} times less than one, though the "
+                "parameters of the two directions do not differ significantly over so few tests"
+            )
+        else:
+            verdict = "the two directions do not differ significantly"
         tested = "not tested for significance" if self.difference is None else self.difference.sentence
         return (
             f"{verdict}: free-run RMSE in cross-validation {self.shared_rmse:.4g} with one shared model, "

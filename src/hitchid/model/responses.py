@@ -94,14 +94,19 @@ def default_levels(channel: Channel, mapped: Sequence[float]) -> list[float]:
     return [channel.dead_zone + share * highest for share in LEVEL_SHARES] if np.isfinite(highest) else []
 
 
-@double_precision
 def default_duration_s(channel: Channel, step_s: float) -> float:
     """Return six lags of the speed after the dead time, and at least 100 samples, s."""
+    return max(settling_s(channel, LAGS), MIN_SAMPLES * step_s)
+
+
+@double_precision
+def settling_s(channel: Channel, lags: float) -> float:
+    """Return the dead time and some lags of the speed and the spool, s; no lag of a nonlinear structure."""
     benchmark, lag_s = channel.benchmark, 0.0
     if benchmark.structure.linear is not None:
         lag_s = speed_lag(benchmark.structure.linear, np.asarray(benchmark.values))
     lag_s += benchmark.named_values().get("spool_lag", 0.0)
-    return max(float(benchmark.dead_time_s) + LAGS * lag_s, MIN_SAMPLES * step_s)
+    return float(benchmark.dead_time_s) + lags * lag_s
 
 
 @double_precision

@@ -1,6 +1,6 @@
 """Simulation from commands and an initial displacement alone, without a measurement."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -25,6 +25,7 @@ from hitchid.model.free_run import FreeRun, FreeRunInputs, commands_of, free_run
 from hitchid.model.loads import Load, covariates_of, loads_by_name
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from pandas import DataFrame
 
 HOLD = "hold"  # `Simulation.mode` while no command demands motion
@@ -111,6 +112,22 @@ class Simulation:
         factor = conversion_factor(units[DISPLACEMENT], self.unit, DISPLACEMENT)
         half_width = factor * conversion.interpolated(half_width, self.model_time_s, self.time_s)
         return Band(self.displacement - half_width, self.displacement + half_width)
+
+    def plot(self, axes: "Sequence[Axes] | np.ndarray | None" = None) -> np.ndarray:
+        """Draw displacement above and commands below, over time; of several runs the first eight.
+
+        Args:
+            axes: two matplotlib axes to draw into; None for a new figure of pyplot.
+
+        Returns:
+            The two axes.
+
+        Raises:
+            InputError: other than two axes are given.
+        """
+        from hitchid.model.plotting import plot_simulation
+
+        return plot_simulation(self, axes)
 
     def to_dataframe(self) -> "DataFrame":
         """Return time, displacement, mode and `out_of_range`, one row a sample.

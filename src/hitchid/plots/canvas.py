@@ -80,8 +80,11 @@ def _legend_each(axes: np.ndarray) -> None:
 
 def checked_axes(axes: object, count: int | None = None) -> np.ndarray:
     """Return axes in one row, shape [N]; raises `InputError` for another number of them or other objects."""
-    flat = np.ravel(np.asarray(axes, dtype=object))
     expected = "matplotlib axes" if count is None else f"{count} matplotlib axes"
+    try:
+        flat = np.ravel(np.asarray(axes, dtype=object))
+    except TypeError as error:  # of objects that have a length and cannot be iterated, as records
+        raise InputError(f"axes: expected {expected}, got {type(axes).__name__}") from error
     if not flat.size or not all(isinstance(each, Axes) for each in flat):
         raise InputError(f"axes: expected {expected}, got {type(axes).__name__}")
     if count is not None and flat.size != count:

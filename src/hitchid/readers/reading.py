@@ -5,10 +5,12 @@ from dataclasses import replace
 from fnmatch import fnmatchcase
 from glob import escape
 from pathlib import Path
+from typing import Any
 
 from hitchid._support import checks
 from hitchid.data.campaign import Campaign
 from hitchid.data.content import Content
+from hitchid.data.dataframes import Frame
 from hitchid.data.left_out import LeftOut, refuse, split_usable
 from hitchid.data.log_records import records_of
 from hitchid.data.log_table import LogTable, table_of
@@ -21,21 +23,26 @@ from hitchid.readers.folders import find_logs, settings_of
 from hitchid.readers.formats import format_of, known_format, record_name
 from hitchid.readers.process import ReaderProcess
 
-LOGS = "files and folders of logs"
+LOGS = "files and folders of logs, DataFrames, or records"
+SIGNALS = "a mapping for DataFrames, as [signals] in campaign.toml"
+KINDS = (str, Path, Frame, Record)
 
 
+@checks.named_arguments
 def read(
-    logs: str | Path | Iterable[str | Path],
+    logs: str | Path | Frame | Record | Mapping[str, Frame] | Iterable[str | Path | Frame | Record],
     *,
-    signals: str | Path | None = None,
+    signals: str | Path | Mapping[str, object] | None = None,
     strict: bool = False,
 ) -> Campaign:
     """Read logs into a campaign; unusable logs are left out and listed in `Campaign.left_out`.
 
     Args:
-        logs: files and folders of any known format.
+        logs: files and folders of any known format; or what is in memory: a DataFrame, several by name or
+            in a list, or records.
         signals: a file like `campaign.toml`; without it each folder's own is used, or the default columns
-            `time_s, current_up_A, current_down_A, displacement_mm`.
+            `time_s, current_up_A, current_down_A, displacement_mm`. For DataFrames the content of
+            `[signals]`, see `Campaign.from_dataframes`.
         strict: raise an error for an unusable log.
 
     Returns:
@@ -46,13 +53,27 @@ def read(
         SettingsError: a settings file cannot be used.
         InputError: there are no logs, or no log of a direction can be used.
     """
-    inputs = logs if isinstance(logs, str | Path) else checks.tuple_of(logs, (str, Path), "logs", LOGS)
-    paths = find_logs(inputs)
+    if isinstance(logs, Campaign):
+        return logs
+    if isinstance(logs, Mapping | Frame | Record):
+        return _in_memory([logs] if isinstance(logs, Frame | Record) else logs, signals, strict=strict)
+    inputs = (logs,) if isinstance(logs, str | Path) else checks.tuple_of(logs, KINDS, "logs", LOGS)
+    if any(not isinstance(item, str | Path) for item in inputs):
+        return _in_memory(inputs, signals, strict=strict)
+    paths = find_logs([item for item in inputs if isinstance(item, str | Path)])
     settings = settings_of(paths, None if signals is None else checks.path(signals, "signals"))
     records, left_out = read_logs(paths, settings, strict=strict)
     if not records:
         refuse(left_out, "logs")
     return assemble(records, settings, left_out, strict=strict)
+
+
+def _in_memory(tables: Mapping[Any, Any] | Sequence[object], signals: object, *, strict: bool) -> Campaign:
+    """Return the campaign of tables or records; those of one call are of one kind."""
+    if not isinstance(tables, Mapping) and any(isinstance(table, Record) for table in tables):
+        return Campaign.of(checks.tuple_of(tables, Record, "logs", LOGS), strict=strict)
+    signal_map = None if signals is None else checks.instance(signals, Mapping, "signals", SIGNALS)
+    return Campaign.from_dataframes(tables, signals=signal_map, strict=strict)
 
 
 def read_logs(

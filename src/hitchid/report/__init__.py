@@ -3,6 +3,7 @@
 from hitchid.report.comparison_report import comparison_report as comparison_report
 from hitchid.report.comparison_report import comparison_tables as comparison_tables
 from hitchid.report.document import Document as Document
+from hitchid.report.document import Faint as Faint
 from hitchid.report.document import Finding as Finding
 from hitchid.report.document import Picture as Picture
 from hitchid.report.document import Pictures as Pictures

@@ -33,7 +33,7 @@ def comparison_report(comparison: ModelComparison, *, command: str = "") -> Docu
     parameters = tables.comparison_parameters(comparison)
     models = zip(comparison.labels, comparison.names, strict=True)
     return Document(
-        title=f"Comparison of {numbers.count(len(comparison), 'hitch model')}",
+        title=f"Comparison of {numbers.count(len(comparison), 'model')}",
         subtitle="; ".join(f"{label}: {name}" for label, name in models),
         verdict=tuple(_finding(comparison, section) for section in comparison.sections),
         notices=tuple(map(sentence, comparison.notices)),
@@ -78,14 +78,29 @@ def verdict_text(comparison: ModelComparison, section: str) -> str:
         for standing in (Standing.WORSE, Standing.SIMILAR)
     )
     if best.tests < MIN_TESTS:
-        return f"{tests}, too few to distinguish the models in free run: {errors_text}"
+        return f"{_smallest(comparison, section, rows)}; too few for a test of significance: {errors_text}"
     if not worse:
-        return f"{tests} do not distinguish the models in free run: {errors_text}"
+        return f"{_smallest(comparison, section, rows)}; not significant: {errors_text}"
     better = f"{best.label} has a significantly smaller error in free run than {worse}"
     if similar:
         return f"{better}, and is not distinguishable from {similar}, over {tests}: {errors_text}"
     wins = comparison.verdict(section).wins
     return f"{better}, the smallest on {wins} of {tests}: {errors_text}"
+
+
+def _smallest(comparison: ModelComparison, section: str, rows: Sequence[LeaderboardRow]) -> str:
+    """Return on how many tests the first model has the smallest error, and by which factor over all."""
+    runs, best = comparison.free_runs(section), rows[0].label
+    others = np.min([runs.rmse(row.label) for row in rows[1:]], axis=0)
+    wins = int(np.sum(runs.rmse(best) < others))
+    tests = numbers.count(rows[0].tests, "test")
+    own, second = rows[0].free_run.rmse, rows[1].free_run.rmse
+    if own == second:
+        return f"{best} and {rows[1].label} have the same error in free run over {tests}"
+    factor = (
+        f", over all {second / own:.3g} times smaller than that of {rows[1].label}" if own and second else ""
+    )
+    return f"{best} has the smallest error in free run on {wins} of {tests}{factor}"
 
 
 def _errors_text(rows: Sequence[LeaderboardRow], unit: str) -> str:

@@ -31,6 +31,12 @@ class Finding(NamedTuple):
     sentence: str
 
 
+class Faint(str):
+    """A cell of a table in grey: the best-fit value of what the tests do not determine."""
+
+    __slots__ = ()
+
+
 @short_repr
 class Table(NamedTuple):
     """One table: a title, a header, and rows of text with names in the first column."""
@@ -159,6 +165,7 @@ class Document:
         data: all figures, the content of `metrics.json` or `comparison.json`.
         data_tables: every table as data, by name.
         signals: what the interactive page shows.
+        uses: sentences on the use of each model, shown before everything else.
     """
 
     title: str
@@ -171,6 +178,7 @@ class Document:
     data: Mapping[str, object] = field(default_factory=dict)
     data_tables: Mapping[str, DataTable] = field(default_factory=dict)
     signals: Signals | None = None
+    uses: tuple[str, ...] = ()
 
     @property
     def blocks(self) -> Iterator[Block]:

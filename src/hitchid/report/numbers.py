@@ -2,8 +2,9 @@
 
 from math import floor, log10
 
-from hitchid.model import Estimate, Interval, Quantity
+from hitchid.model import Estimate, Interval, LoadOfTest, LoadScatter, Quantity, SpeedPoint
 from hitchid.model.estimates import NOT_ASSESSED
+from hitchid.report.document import Faint
 from hitchid.validation import RunFigures
 
 DIVERGED = "diverged"
@@ -68,16 +69,21 @@ def with_unit(text: str, unit: str) -> str:
 
 
 def estimate(parameter: Estimate) -> str:
-    """Return a parameter with its standard error; empty if the tests do not determine it."""
-    if parameter.method == NOT_ASSESSED:
-        return digits(parameter.value)
-    return with_error(parameter.value, parameter.error) if parameter.determined else ""
+    """Return a parameter with its standard error; only the value, faint, if it is not determined."""
+    if parameter.determined and parameter.method != NOT_ASSESSED:
+        return with_error(parameter.value, parameter.error)
+    return quantity(parameter)
 
 
-def determined(result: Quantity | Estimate | bool) -> str:
+def quantity(result: Quantity | Estimate | SpeedPoint) -> str:
+    """Return a value with four digits, faint if the tests do not determine it."""
+    value = digits(result.speed if isinstance(result, SpeedPoint) else result.value)
+    return value if result.determined else Faint(value)
+
+
+def determined(result: Quantity | Estimate | SpeedPoint | LoadScatter | LoadOfTest) -> str:
     """Return whether a quantity is determined."""
-    is_determined = result if isinstance(result, bool) else result.determined
-    return "determined" if is_determined else "not determined"
+    return "determined" if result.determined else "not determined"
 
 
 def error_cells(figures: RunFigures) -> tuple[str, ...]:

@@ -13,10 +13,11 @@ from hitchid.validation.names import in_table_order, model_name
 
 SectionBuilder = Callable[[DirectionContext], ReportSection]
 DIRECTION_SECTIONS: tuple[SectionBuilder, ...] = (
+    sections.overview,
+    sections.parameters,
     sections.accuracy,
     sections.errors,
     sections.trust,
-    sections.parameters,
     sections.search,
 )
 
@@ -42,6 +43,7 @@ def validation_report(
     return Document(
         title=_title(result.model.provenance),
         subtitle=f"{', '.join(counts)}; {DISPLACEMENT} in {result.unit}",
+        uses=sections.uses(result),
         verdict=sections.verdict(result, acceptance),
         notices=tuple(map(sentence, result.notices)),
         sections=(
@@ -140,8 +142,8 @@ def _summary(result: Validation) -> list[Table]:
 
 def _title(provenance: Provenance) -> str:
     if not provenance.name:
-        return "Validation of a hitch model"
-    return f"Validation of the hitch model {provenance.name} of {provenance.date}"
+        return "Validation of a model"
+    return f"Validation of {provenance.name} ({provenance.date})"
 
 
 def _count(direction: str, count: int) -> str:

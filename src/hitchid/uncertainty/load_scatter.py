@@ -13,7 +13,7 @@ from hitchid._support.short_repr import short_repr
 from hitchid.errors import FitError
 from hitchid.estimation import Objective
 from hitchid.model.estimates import Interval
-from hitchid.model.load_scatter import LoadOfTest, LoadScatter
+from hitchid.model.load_scatter import STANDSTILL, LoadOfTest, LoadScatter
 
 LEVEL = 0.95  # of the intervals
 FEWEST_CONTRASTS = 2  # differences between tests; of fewer a scatter has no interval
@@ -114,7 +114,7 @@ def scatter_of(contrasts: Contrasts, names: Sequence[str]) -> LoadScatter:
         names: of the tests, length T.
 
     Raises:
-        FitError: there are fewer than two contrasts.
+        FitError: there are fewer than two contrasts, or a test would run backward.
     """
     values, sensitivities, directions = contrasts
     if values.size < FEWEST_CONTRASTS:
@@ -125,10 +125,18 @@ def scatter_of(contrasts: Contrasts, names: Sequence[str]) -> LoadScatter:
     scatter = _most_likely(contrasts)
     precision = (scatter * sensitivities) ** 2 / (1 + (scatter * sensitivities) ** 2)
     predictions = directions @ (precision * values / sensitivities)
+    slowest = int(np.argmin(predictions))
+    if predictions[slowest] <= STANDSTILL:
+        raise FitError(
+            f"{names[slowest]}: the speed would differ from the model's by {100 * predictions[slowest]:.0f} "
+            f"%, by a load that stops the piston it is {100 * STANDSTILL:.0f} %: the errors are no load's"
+        )
     variances = scatter**2 * (1 - directions**2 @ precision)
     half_widths = t.ppf(0.5 + 0.5 * LEVEL, values.size) * np.sqrt(variances)
     tests = tuple(
-        LoadOfTest(name, float(value), (float(value - half_width), float(value + half_width)))
+        LoadOfTest(
+            name, float(value), (max(STANDSTILL, float(value - half_width)), float(value + half_width))
+        )
         for name, value, half_width in zip(names, predictions, half_widths, strict=True)
     )
     spread = np.sqrt(np.sum(predictions**2) / values.size)

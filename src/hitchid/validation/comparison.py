@@ -223,6 +223,7 @@ def model_labels(count: int) -> tuple[str, ...]:
     return tuple(f"{ascii_uppercase[letter]}{number or ''}" for number, letter in rounds)
 
 
+@checks.named_arguments
 def compare(
     models: Sequence[Hitch],
     campaign: Campaign,

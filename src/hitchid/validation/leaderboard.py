@@ -11,7 +11,7 @@ from hitchid._support.metrics import SIGNIFICANCE, holm
 from hitchid._support.short_repr import short_repr
 from hitchid._support.summary import Summarised, Summary, count
 from hitchid.validation.names import FREE_RUN, GREYBOX, ONE_STEP
-from hitchid.validation.predictions import Predictions
+from hitchid.validation.predictions import MIN_TESTS, Predictions
 from hitchid.validation.results import Accuracy, ModelFigures, RunFigures
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ class Standing(Enum):
     BEST = "best"
     WORSE = "significantly worse"
     SIMILAR = "not distinguishable"
+    UNTESTED = "too few tests to tell"
 
 
 @short_repr
@@ -54,6 +55,11 @@ class LeaderboardRow:
     horizons: Mapping[int, tuple[float | None, float | None]]
     standing: Standing
     p_value: float | None
+
+    @property
+    def tested(self) -> float | None:
+        """The p-value; None for the best model, and where the tests are too few for one."""
+        return None if self.standing is Standing.UNTESTED else self.p_value
 
     def describe(self) -> dict[str, object]:
         """Return the row as JSON values, without its section."""
@@ -136,7 +142,7 @@ class Leaderboard(Summarised):
                 row.name,
                 value_text(row.free_run.rmse, row.free_run.rmse_error),
                 value_text(row.free_run.fit, row.free_run.fit_error),
-                row.standing.value if row.p_value is None else f"{row.standing.value}, p = {row.p_value:.2g}",
+                row.standing.value if row.tested is None else f"{row.standing.value}, p = {row.tested:.2g}",
             )
             for row in self.rows
         )
@@ -181,7 +187,7 @@ def section_rows(
                     strict=True,
                 )
             ),
-            standing=_standing(p_value),
+            standing=_standing(p_value, len(accuracy.tests)),
             p_value=p_value,
         )
 
@@ -201,7 +207,9 @@ def _sort_key(accuracy: Accuracy) -> float:
     return float("inf") if rmse is None else rmse
 
 
-def _standing(p_value: float | None) -> Standing:
+def _standing(p_value: float | None, tests: int) -> Standing:
     if p_value is None:
         return Standing.BEST
+    if tests < MIN_TESTS:
+        return Standing.UNTESTED
     return Standing.WORSE if p_value < SIGNIFICANCE else Standing.SIMILAR

@@ -29,8 +29,10 @@ LABELS = NAMES | {
 
 def model_name(key: str) -> str:
     """Return the name of a model; the key where the package of a baseline is not installed."""
+    if key in NAMES:  # the packages installed are asked only for names that are not our own: that takes long
+        return NAMES[key]
     extensions = all_baselines()
-    return NAMES.get(key) or (extensions[key].title if key in extensions else key)
+    return extensions[key].title if key in extensions else key
 
 
 def in_table_order(keys: Iterable[str]) -> list[str]:

@@ -26,6 +26,7 @@ from hitchid.validation.validation import Validation
 WORKERS = 2  # threads for directions and cycles; chosen
 
 
+@checks.named_arguments
 @double_precision
 def validate(
     model: Hitch,

@@ -9,10 +9,13 @@ from scipy.signal import savgol_filter
 from hitchid._support.precision import double_precision
 from hitchid.data.record import COMMAND, DISPLACEMENT, Record
 from hitchid.model import Channel
+from hitchid.model.responses import settling_s
 
 LEVELS = 24  # commands of the benchmark's curve; all values chosen
-SETTLED_S, END_S = 3.0, 0.5  # the benchmark's speed: mean over the last 0.5 s of 3 s at one command
-STEADY_S, SLOPE_S = 0.25, 0.12  # a command counts as constant after 0.25 s; speed over the 0.12 s before that
+SETTLED_S, END_S = 3.0, 0.5  # the benchmark's speed: mean over the last 0.5 s of 3 s or more at one command
+# A test's speed is taken over 0.12 s, of a command that has been constant for 0.25 s and four lags: by then
+# a speed with one lag has reached 98 %.
+STEADY_S, SLOPE_S, LAGS = 0.25, 0.12, 4.0
 RAMP_S = 0.5  # window over which the speed of a ramp is taken
 NOISE = 0.02  # share of the command's range below which a change is noise
 BINS, MIN_SAMPLES_PER_BIN = 12, 8  # largest number of bins, smallest number of samples in each
@@ -59,8 +62,8 @@ class ValveMap:
 def valve_map(channel: Channel, tests: Sequence[Record], ramps: Sequence[Record]) -> ValveMap:
     """Return the steady speed of the benchmark over the command, and the speeds measured in the logs.
 
-    Tests: slope of the displacement over 0.12 s after 0.25 s of constant command, in bins of equal numbers of
-    samples. Ramps: slope over 0.5 s.
+    Tests: slope of the displacement over 0.12 s once the command has been constant for 0.25 s, and for the
+    dead time and four lags of the benchmark, in bins of equal numbers of samples. Ramps: slope over 0.5 s.
 
     Args:
         channel: of the model.
@@ -94,11 +97,12 @@ def _speed_bins(commands: np.ndarray, speeds: np.ndarray) -> tuple[SpeedBin, ...
 
 
 def _steady_speeds(tests: Sequence[Record], channel: Channel) -> tuple[np.ndarray, np.ndarray]:
-    """Return commands and speeds, shape [M], at samples preceded by `STEADY_S` of constant command."""
+    """Return commands and speeds, shape [M], at samples preceded by a constant command and settled speed."""
     commands, speeds = [], []
+    steady_s = max(STEADY_S, settling_s(channel, LAGS) + SLOPE_S)
     for test in tests:
         command = test.command(channel.direction)
-        steady_samples, slope_samples = (max(3, round(span / test.step_s)) for span in (STEADY_S, SLOPE_S))
+        steady_samples, slope_samples = (max(3, round(span / test.step_s)) for span in (steady_s, SLOPE_S))
         last_change = np.maximum.accumulate(np.where(_command_changes(command), np.arange(command.size), 0))
         sample_indices = np.flatnonzero(np.arange(command.size) - last_change == steady_samples)
         commands.append(command[sample_indices])
@@ -128,9 +132,12 @@ def _ramp_speed(ramp: Record, channel: Channel) -> tuple[np.ndarray, np.ndarray]
 
 @double_precision
 def _model_speed(channel: Channel, tests: Sequence[Record], levels: np.ndarray) -> np.ndarray:
-    """Return the benchmark's mean speed over the last 0.5 s of 3 s at each command, shape [L]."""
+    """Return the benchmark's mean speed over the last 0.5 s at each command, shape [L].
+
+    It lasts 3 s, or the dead time, four lags and 0.5 s where that is more.
+    """
     step_s = tests[0].step_s
-    count = max(8, round(SETTLED_S / step_s))
+    count = max(8, round(max(SETTLED_S, settling_s(channel, LAGS) + END_S) / step_s))
     start = float(np.median([test.displacement[0] for test in tests]))
     first_sample = tests[0].slice(0, 1)
     records = [

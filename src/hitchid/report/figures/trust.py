@@ -65,8 +65,7 @@ def _interval(axis: Axes, estimate: Estimate) -> None:
             axis.plot([edge[side]], [0], marker, color=colour, markersize=6, clip_on=False)
     if estimate.bootstrap and estimate.determined:
         axis.plot(np.array(estimate.bootstrap, dtype=float), [-0.45, -0.45], color=FAINT, linewidth=1.2)
-    if estimate.determined:
-        axis.plot([value], [0], "|", color=INK, markersize=11, markeredgewidth=1.4)
+    axis.plot([value], [0], "|", color=INK, markersize=11, markeredgewidth=1.4)
     axis.set_ylim(-1, 1)
     axis.set_yticks([])
     axis.spines["left"].set_visible(False)
@@ -94,7 +93,8 @@ def loads(load_scatter: LoadScatter) -> Figure:
     rows = np.arange(len(tests))
     axes.axvspan(-100 * load_scatter.scatter, 100 * load_scatter.scatter, color=FAINT, alpha=0.3, linewidth=0)
     axes.axvline(0, color=FAINT, linewidth=0.8)
-    axes.hlines(rows, lower, upper, color=COLOURS["benchmark"], linewidth=1.2)
+    colours = [COLOURS["benchmark"] if test.determined else FAINT for test in tests]
+    axes.hlines(rows, lower, upper, color=colours, linewidth=1.2)
     axes.plot(speed, rows, "o", color=INK, markersize=3)
     named = len(tests) <= NAMED_ROWS
     axes.set_yticks(rows if named else [], [printable(test.test) for test in tests] if named else [])

@@ -5,7 +5,17 @@ from markupsafe import Markup
 
 from hitchid._support.inert import html_value
 from hitchid.plots.style import SHADES
-from hitchid.report.document import Document, Equation, Findings, Picture, Pictures, Rating, Table, Text
+from hitchid.report.document import (
+    Document,
+    Equation,
+    Faint,
+    Findings,
+    Picture,
+    Pictures,
+    Rating,
+    Table,
+    Text,
+)
 from hitchid.report.renderers.renderer import Renderer
 from hitchid.report.svg import inline_svg
 
@@ -35,6 +45,7 @@ def _page(document: Document) -> str:
     def image(picture: Picture) -> Markup:
         return Markup(inline_svg(picture.svg, picture.name, picture.alt))  # noqa: S704 - our own
 
+    environment.tests["faint"] = lambda cell: isinstance(cell, Faint)
     template = environment.get_template("page.html")
     return template.render(
         document=document,

@@ -1,4 +1,4 @@
-"""A document as Markdown: findings, notices and tables, without figures."""
+"""A document as Markdown: uses, findings, notices and tables, without figures."""
 
 from collections.abc import Iterator, Sequence
 
@@ -15,6 +15,7 @@ class Markdown(Renderer):
     def render(self, document: Document) -> bytes:
         """Return the document as UTF-8; characters that cannot be encoded are escaped."""
         lines = [f"# {markdown_text(document.title)}", ""]
+        lines += [line for use in document.uses for line in (markdown_text(use), "")]
         items = [*_items(document.verdict), *(f"- {markdown_text(notice)}" for notice in document.notices)]
         lines += [*items, ""] if items else []
         for section in document.sections:

@@ -13,6 +13,7 @@ from hitchid.report.document import (
     Block,
     Document,
     Equation,
+    Faint,
     Finding,
     Findings,
     Pictures,
@@ -60,6 +61,7 @@ def _document_dict(document: Document) -> dict:
     return {
         "title": document.title,
         "subtitle": document.subtitle,
+        "uses": list(document.uses),
         "verdict": [_finding(finding) for finding in document.verdict],
         "notices": list(document.notices),
         "sections": [_section(section) for section in document.sections],
@@ -88,7 +90,9 @@ def _block(block: Block) -> dict:
             }
         case table:
             title = f"{table.title[:1].upper()}{table.title[1:]}"
-            return {"kind": "table", "numeric": table.numeric, **table._asdict(), "title": title}
+            faint = [[isinstance(cell, Faint) for cell in row] for row in table.rows]
+            cells = table._asdict() | {"title": title}
+            return {"kind": "table", "numeric": table.numeric, "faint": faint, **cells}
 
 
 def _finding(finding: Finding) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""A document as text for a terminal: verdict, short tables, acceptance limits."""
+"""A document as text for a terminal: uses, verdict, short tables, acceptance limits."""
 
 from io import StringIO
 from textwrap import fill
@@ -19,8 +19,10 @@ class Terminal(Renderer):
     name, suffix = "terminal", ".txt"
 
     def render(self, document: Document) -> bytes:
-        """Return the verdict and the summary of the document, without colours."""
+        """Return uses, verdict and summary of the document, without colours."""
         stream = StringIO()
+        for use in document.uses:
+            stream.write(line(fill(use, COLUMNS, subsequent_indent="  ", break_on_hyphens=False)))
         for finding in document.verdict:
             text = f"{finding.level.value:8}{finding.sentence}"
             stream.write(line(fill(text, COLUMNS, subsequent_indent=" " * 8, break_on_hyphens=False)))

@@ -1,12 +1,12 @@
-"""Errors of one direction: every model, over horizons, by test, over time, distribution."""
+"""Errors of one direction: every model, over horizons, by test, distribution."""
 
 from hitchid.report import figure_data, figures
 from hitchid.report.document import Picture, Pictures, ReportSection
 from hitchid.report.figures.errors import MAX_SAMPLES
 from hitchid.report.sections.context import DirectionContext
+from hitchid.report.sections.overview import simulated_models
 from hitchid.report.tables import accuracy_table, horizon_table, single_test_table
-from hitchid.validation.names import BENCHMARK, FREE_RUN, LABELS, ONE_STEP
-from hitchid.validation.shown_tests import shown_tests
+from hitchid.validation.names import BENCHMARK, FREE_RUN, LABELS
 
 COMPARED_MODELS = ("lstm", "narx", "oe", "arx", "transfer_function", BENCHMARK, FREE_RUN)
 
@@ -37,23 +37,11 @@ def accuracy(context: DirectionContext) -> ReportSection:
 
 
 def errors(context: DirectionContext) -> ReportSection:
-    """Return the section on the errors over time, their distribution, and by test."""
+    """Return the section on the distribution of the errors, and on single tests."""
     tests, unit = context.accuracy.predictions, context.unit
-    selected_tests, selection_text = shown_tests(tests)
-    names = ", ".join(selected_tests.names)
-    equal_note = " The network correction is not used in simulation." if tests.uncompensated else ""
-    models = (FREE_RUN, ONE_STEP) if tests.uncompensated else (BENCHMARK, FREE_RUN, ONE_STEP)
+    models = simulated_models(tests)
     model_errors = {name: tests.errors(name) for name in reversed(models)}
-    rmse = context.accuracy.free_run().rmse
-    error_text = "the free run diverged" if rmse is None else f"free-run RMSE {rmse:.3g} {unit}"
     pictures = [
-        Picture(
-            context.figure_name("outputs"),
-            figures.outputs(selected_tests, unit, models),
-            f"Measured and predicted displacement, and the errors: {selection_text} ({names}).{equal_note}",
-            f"Displacement and error over time of {names}; {error_text}.",
-            data=figure_data.outputs(selected_tests, unit, models),
-        ),
         Picture(
             context.figure_name("distribution"),
             figures.error_distribution(model_errors, unit),

@@ -17,11 +17,7 @@ def parameters(context: DirectionContext) -> ReportSection:
     """Return the section on parameters with their intervals, the valve, and the dead zone."""
     result, data = context.result, context.data
     blocks: list[Block] = [*transfer_function(data.channel.benchmark, data.unit, data.command_unit)]
-    pictures = []
-    if result.characteristics is not None:
-        blocks += _characteristic_blocks(context.direction, result.characteristics)
-        pictures.append(_speed_map(context, result.characteristics))
-    pictures.append(_valve_map(context))
+    pictures = [_valve_map(context)]
     for estimates, model, name in (
         (result.parameters, "benchmark", "intervals"),
         (result.paper_parameters, "paper's transfer function", "paper-intervals"),
@@ -30,6 +26,8 @@ def parameters(context: DirectionContext) -> ReportSection:
             title = f"parameters of the {model}"
             blocks.append(parameter_table(f"{context.direction}: {title}", estimates))
             pictures += _intervals(context.figure_name(name), title, estimates)
+    if result.characteristics is not None:
+        blocks += _characteristic_blocks(context.direction, result.characteristics)
     if result.load_scatter is not None:
         blocks.append(load_table(context.direction, result.load_scatter))
         pictures.append(_loads(context, result.load_scatter))
@@ -42,27 +40,13 @@ def _characteristic_blocks(direction: str, characteristics: Characteristics) -> 
     return [Text(" ".join(sentences)), *characteristic_tables(direction, characteristics)]
 
 
-def _speed_map(context: DirectionContext, characteristics: Characteristics) -> Picture:
-    load = f" One line for each load ({characteristics.load})." if characteristics.load else ""
-    return Picture(
-        context.figure_name("speed-map"),
-        figures.speed_map(characteristics),
-        (
-            "Speed map: steady speed at mid stroke over the command, as identified, with "
-            "its 95 % band; open circles are mean speeds of identification tests during "
-            f"constant command.{load}"
-        ),
-        " ".join(map(sentence, characteristic_sentences(characteristics, context.direction))),
-        data=figure_data.speed_map(characteristics),
-    )
-
-
 def _valve_map(context: DirectionContext) -> Picture:
     data = context.data
     return Picture(
         context.figure_name("valve"),
         figures.valve_map(data.valve_map, data.unit, data.command_unit),
-        "Valve map: speed over command. Points below the dead zone are decaying motion.",
+        "Valve map: speed over command, of tests once it has settled: four lags after a change of the "
+        "command. Points below the dead zone are decaying motion.",
         f"Speed in {data.unit}/s over command in {data.command_unit}: benchmark, tests and ramps.",
         data=figure_data.valve_map(data.valve_map, data.unit, data.command_unit),
     )
@@ -89,8 +73,9 @@ def _loads(context: DirectionContext, load_scatter: LoadScatter) -> Picture:
         context.figure_name("loads"),
         figures.loads(load_scatter),
         (
-            "Speed of each identification test above the model's, due to a load that nobody measures, with "
-            "its 95 % interval, the slowest test below; grey band: ± the scatter between tests."
+            "Speed of each identification test above the model's, as a load that nobody measures would make "
+            "it, with its 95 % interval, the slowest test below; grey: not determined; grey band: "
+            "± the scatter between tests."
         ),
         sentence(load_scatter.sentence),
         data=figure_data.loads(load_scatter),

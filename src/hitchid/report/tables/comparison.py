@@ -4,7 +4,7 @@ from hitchid.model import Estimate
 from hitchid.report import numbers
 from hitchid.report.document import Table
 from hitchid.report.tables.accuracy import error_header
-from hitchid.validation import LeaderboardRow, ModelComparison, Standing
+from hitchid.validation import LeaderboardRow, ModelComparison
 from hitchid.validation.names import CYCLES, GREYBOX, RUNS
 
 
@@ -86,9 +86,9 @@ def comparison_parameters(comparison: ModelComparison) -> list[Table]:
 
 
 def _difference(row: LeaderboardRow) -> str:
-    if row.p_value is None:
-        return Standing.BEST.value
-    return f"{row.standing.value}, {numbers.p_value(row.p_value)}"
+    if row.tested is None:
+        return row.standing.value
+    return f"{row.standing.value}, {numbers.p_value(row.tested)}"
 
 
 def _cell(estimate: Estimate | None) -> str:

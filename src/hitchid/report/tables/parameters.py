@@ -1,13 +1,13 @@
 """Tables of parameters with their intervals, and of operating characteristics."""
 
-from hitchid.model import Characteristics, Estimates, Interval, LoadScatter
+from hitchid.model import Characteristics, Estimates, Interval, LoadOfTest, LoadScatter
 from hitchid.model.estimates import NOT_ASSESSED
 from hitchid.report import numbers
-from hitchid.report.document import Table
+from hitchid.report.document import Faint, Table
 
 
 def parameter_table(title: str, estimates: Estimates) -> Table:
-    """Return parameters and derived quantities; only the interval of one that is not determined.
+    """Return parameters and derived quantities; the value of one that is not determined is faint.
 
     Where no interval was computed there is only the value."""
     rows = [
@@ -26,7 +26,7 @@ def parameter_table(title: str, estimates: Estimates) -> Table:
         (
             quantity.name,
             quantity.unit,
-            numbers.digits(quantity.value) if quantity.determined else "",
+            numbers.quantity(quantity),
             numbers.interval(quantity.interval),
             "",
             "",
@@ -49,14 +49,23 @@ def parameter_table(title: str, estimates: Estimates) -> Table:
 def load_table(direction: str, load_scatter: LoadScatter) -> Table:
     """Return the scatter of the speed between tests, and each test's own speed."""
 
-    def row(name: str, value: float, ends: Interval, verdict: str) -> tuple[str, ...]:
-        return name, f"{100 * value:.2f}", numbers.interval(_in_percent(ends)), verdict
+    def row(name: str, value: float, result: LoadScatter | LoadOfTest, verdict: str = "") -> tuple[str, ...]:
+        percent = f"{100 * value:.2f}"
+        interval = numbers.interval(_in_percent(result.interval))
+        return name, percent if result.determined else Faint(percent), interval, verdict
 
-    verdict = f"{numbers.determined(load_scatter.determined)}, shrinkage {100 * load_scatter.shrinkage:.0f} %"
-    rows = [row("scatter between tests", load_scatter.scatter, load_scatter.interval, verdict)]
-    rows += [row(test.test, test.speed, test.interval, "") for test in load_scatter.tests]
+    verdict = f"{numbers.determined(load_scatter)}, shrinkage {100 * load_scatter.shrinkage:.0f} %"
+    rows = [row("scatter between tests", load_scatter.scatter, load_scatter, verdict)]
+    rows += [
+        row(test.test, test.speed, test, "" if test.determined else numbers.determined(test))
+        for test in load_scatter.tests
+    ]
     header = ("test", "speed above the model's / %", "95 %", "verdict")
-    return Table(f"{direction}: load that nobody measures", header, tuple(rows))
+    return Table(
+        f"{direction}: speed of each test above the model's, by a load that nobody measures",
+        header,
+        tuple(rows),
+    )
 
 
 def _in_percent(interval: Interval) -> Interval:
@@ -71,9 +80,9 @@ def characteristic_tables(direction: str, characteristics: Characteristics) -> l
         (
             numbers.digits(point.command),
             *([numbers.digits(point.load)] if load else []),
-            numbers.digits(point.speed),
+            numbers.quantity(point),
             numbers.interval(point.interval),
-            numbers.determined(point.determined),
+            numbers.determined(point),
         )
         for point in characteristics.speed_map
     )
@@ -89,7 +98,7 @@ def characteristic_tables(direction: str, characteristics: Characteristics) -> l
         (
             name,
             quantity_unit,
-            numbers.digits(quantity.value),
+            numbers.quantity(quantity),
             numbers.interval(quantity.interval),
             numbers.determined(quantity),
         )
