@@ -1,6 +1,6 @@
 """Closed loops of a position controller on the virtual bench, many at once."""
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -43,7 +43,7 @@ class Plant(Protocol):
     plain numbers.
     """
 
-    def reset(self, displacement: object, seed: object, /) -> tuple[object, object]:
+    def reset(self, displacement: Any, seed: Any, /) -> tuple[Any, Any]:
         """Return the state of a plant that is held at a displacement, and its first measurement.
 
         Args:
@@ -52,7 +52,7 @@ class Plant(Protocol):
         """
         ...
 
-    def step(self, state: object, commands: object, /) -> tuple[object, object]:
+    def step(self, state: Any, commands: Any, /) -> tuple[Any, Any]:
         """Return the next state, and the measurement after a sample of lifting and lowering command."""
         ...
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -191,7 +192,8 @@ def drive(
         middle = 0.5 * sum(travel)
     slowest = min(float(axis.fastest(jnp.asarray(middle))) for axis in controller.axes)
     if not isinstance(rig, Rig):
-        todo = plant_scenarios(*travel, slowest, units[0])
+        lowest, highest = cast(tuple[float, float], travel)
+        todo = plant_scenarios(lowest, highest, slowest, units[0])
         loops = {}
         for number, (name, each) in enumerate(_controllers(controller, tested).items()):
             progress(ProgressUpdate(f"closed loops: {name}", 0.2 + 0.2 * number))
@@ -239,7 +241,8 @@ def drive(
 def _controllers(
     controller: HitchController, tested: PositionController | None
 ) -> dict[str, PositionController]:
-    return {TESTED: controller if tested is None else tested, **baselines(controller)}
+    own = cast(PositionController, controller) if tested is None else tested
+    return {TESTED: own, **cast(dict[str, PositionController], baselines(controller))}
 
 
 def _figures(

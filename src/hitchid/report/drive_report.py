@@ -107,7 +107,7 @@ def drive_verdict(result: Drive, acceptance: Acceptance | None = None) -> tuple[
         Finding(Rating.BAD if both else Rating.GOOD, f"Both valves were on in {both} samples."),
     ]
     steps = {name: scenario for name, scenario in result.scenarios.items() if scenario.amplitude_mm}
-    restless = [name for name in steps if not np.isfinite(own[name].settling_s)]
+    restless = [name for name in steps if own[name].settling_s == np.inf]
     off = {
         name: own[name].final_error_mm
         for name, scenario in steps.items()
