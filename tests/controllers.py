@@ -8,6 +8,7 @@ from hitchid.control.axis import Axis
 from hitchid.control.controller import Gains, HitchController, HoldWindow
 from hitchid.data.record import DIRECTIONS
 
+UNITS = {"displacement": "mm", "lifting_command": "A", "lowering_command": "A"}
 DEAD_TIME_S = 0.064
 LAG_S = 0.08
 PRESSURE = {"pressure": 125.0}
@@ -16,6 +17,10 @@ PRESSURE = {"pressure": 125.0}
 def made_up_model(*, shape: bool):
     """Return a hitch of which the speed lags, with a dead time of a fraction of a sample."""
     return handmade.hitch("integrator-first-order", dead_time_s=DEAD_TIME_S, shape=shape)
+
+
+def _gains(*values: float) -> Gains:
+    return Gains(*map(jnp.asarray, values))
 
 
 def made_up_controller(model) -> HitchController:
@@ -28,17 +33,17 @@ def made_up_controller(model) -> HitchController:
             sign=channel.sign,
             dead_zone=channel.dead_zone,
             step_s=0.01,
-            largest_a=channel.dead_zone + 0.5,
+            largest_command=channel.dead_zone + 0.5,
         )
         axes.append(axis.at_load(PRESSURE) if channel.benchmark.covariates else axis)
     fastest = np.array([float(axis.fastest(jnp.asarray(100.0))) for axis in axes])
     return HitchController(
         axes=(axes[0], axes[1]),
-        gains=(Gains(3.0, 1.1), Gains(2.5, 0.8, 0.1, 0.01)),
-        acceleration=jnp.asarray(fastest / LAG_S),
+        gains=(_gains(3.0, 1.1, 0.0, 0.0), _gains(2.5, 0.8, 0.1, 0.01)),
+        deceleration=jnp.asarray(fastest / LAG_S),
         speed_share=jnp.asarray(0.98),
         lags_s=jnp.asarray([axis.lags[0] for axis in axes]),
-        crossing_mm_s=jnp.asarray([0.45, 0.4]),
-        hold=HoldWindow(0.075, 0.3),
-        rate_a_s=jnp.asarray(40.0),
+        crossing_speed=jnp.asarray([0.45, 0.4]),
+        hold=HoldWindow(jnp.asarray(0.075), jnp.asarray(0.3)),
+        rate=jnp.asarray(40.0),
     )

@@ -29,4 +29,4 @@ def linear_controller():
 @pytest.fixture(scope="session")
 def brisk(linear_controller):
     """Return a controller that opens the valves of the nominal bench."""
-    return replace(linear_controller, rate_a_s=jnp.asarray(80.0))
+    return replace(linear_controller, rate=jnp.asarray(80.0))

@@ -15,6 +15,7 @@ BEGIN, SAMPLES, START = 100, 500, 100.0
 def scenario(amplitude: float = 20.0, **changed) -> Scenario:
     target = np.where(np.arange(SAMPLES) < BEGIN, START, START + amplitude)
     step = Scenario("step", Kind.STEP, target, START, BEGIN, amplitude_mm=amplitude)
+    changed = {"tolerance": 1.0 if abs(amplitude) == 5 else 2.0, **changed}
     return replace(step, **changed)
 
 

@@ -42,10 +42,10 @@ def drawn(name: str) -> Figure:
             return open_loop.sensitivity(loops(), 1.7)
         case "steps":
             target = scenario().target_mm
-            return open_loop.step_fan([TrialRun(TIME_S, target, runs().measured_mm)] * 2)
+            return open_loop.step_fan([TrialRun(TIME_S, target, runs().measured_mm)] * 2, "mm")
         case _:
             band = Band(scenario().target_mm - 1, scenario().target_mm + 1)
-            return closed_loop.closed_loop(scenario(), runs(), runs(), band, "SIMC PI")
+            return closed_loop.closed_loop(scenario(), runs(), runs(), band, "SIMC PI", ("mm", "A"))
 
 
 EVERY = ["bode", "nichols", "sensitivity", "steps", "closed loop"]

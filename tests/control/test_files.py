@@ -8,6 +8,7 @@ import jax
 import numpy as np
 import pytest
 
+from controllers import UNITS
 from hitchid.control.files import load_controller, save_controller
 from hitchid.control.margins import Margins
 from hitchid.control.tuning import DirectionMargins, Tuning
@@ -18,7 +19,7 @@ from hitchid.errors import OutputError, SettingsError
 def tuning_of(controller, load, *, gain_db: float = 7.5) -> Tuning:
     worst = Margins(*map(np.asarray, (gain_db, 51.0, 0.21, 1.6, 0.9)))
     margins = {direction: DirectionMargins(worst, worst, 0.07) for direction in DIRECTIONS}
-    return Tuning(controller, "PI", {"PI": 31.0, "LQI": 32.5}, margins, load, 200)
+    return Tuning(controller, "PI", {"PI": 31.0, "LQI": 32.5}, margins, load, UNITS, 200)
 
 
 @pytest.fixture(scope="module")
@@ -84,9 +85,9 @@ def test_the_curve_rises_from_no_current_to_the_largest(written) -> None:
     content = tomllib.loads(written.read_text(encoding="utf-8"))
     for direction in DIRECTIONS:
         curve = content[direction]["curve"]
-        assert curve["speed_mm_per_s"][0] == 0
-        assert np.all(np.diff(curve["current_A"]) >= 0)
-        assert curve["current_A"][-1] == pytest.approx(content[direction]["largest_current_A"], rel=1e-3)
+        assert curve["speed"][0] == 0
+        assert np.all(np.diff(curve["command"]) >= 0)
+        assert curve["command"][-1] == pytest.approx(content[direction]["largest_command"], rel=1e-3)
 
 
 def line(name: str, value: str | None) -> tuple[str, str]:
@@ -101,15 +102,15 @@ DAMAGES = {
     "missing gain": (line("proportional_1_per_s", None), "proportional_1_per_s"),
     "negative gain": (line("integral_1_per_s2", "-1.0"), "integral_1_per_s2"),
     "text for a number": (line("lag_s", '"long"'), "lag_s"),
-    "truth for a number": (line("crossing_mm_per_s", "true"), "crossing_mm_per_s"),
-    "infinite": (line("rate_A_per_s", "inf"), "rate_A_per_s"),
-    "missing window": (line("inner_mm", None), "inner_mm"),
+    "truth for a number": (line("crossing_speed", "true"), "crossing_speed"),
+    "infinite": (line("rate", "inf"), "rate"),
+    "missing window": (line("inner", None), "inner"),
     "no sampling time": (line("step_s", "0.0"), "step_s"),
     "unknown structure": (line("structure", '"pendulum"'), "pendulum"),
     "missing direction": (line("direction", None), "cannot be used|direction"),
     "number for the load": ((r"(?m)^\[load\]\n(pressure = .*\n)?", "[other]\n"), "load"),
     "few values": (line("values", "[1.0]"), "values|cannot be used"),
-    "number for the hold": ((r"(?m)^\[hold\]\ninner_mm = .*\nouter_mm = .*$", "[other]\nhold = 1"), "hold"),
+    "number for the hold": ((r"(?m)^\[hold\]\ninner = .*\nouter = .*$", "[other]\nhold = 1"), "hold"),
 }
 
 

@@ -12,6 +12,7 @@ from hitchid.cli import app
 from hitchid.control import Tuning, limitation, load_controller, save_controller, tune
 from hitchid.control.direction_loops import MAX_SENSITIVITY, MIN_DEAD_TIMES, MIN_GAIN_DB, MIN_PHASE_DEG
 from hitchid.control.limits import check_drive, read_drive_limits
+from hitchid.control.tuning import check_tunable
 from hitchid.errors import InputError, SettingsError
 from hitchid.identification import read_settings
 from hitchid.report import tune_report
@@ -119,9 +120,10 @@ def test_a_model_of_one_direction_is_refused(model: hitchid.Hitch):
         tune(replace(model, channels={"lifting": model.channels["lifting"]}), draws=20)
 
 
-def test_a_model_in_other_units_is_refused(model: hitchid.Hitch):
-    with pytest.raises(InputError, match="unit is m, expected mm"):
-        tune(replace(model, units={**model.units, "displacement": "m"}), draws=20)
+def test_the_units_of_the_model_are_those_of_the_controller(model: hitchid.Hitch, tuning: Tuning):
+    assert tuning.units == {"displacement": "mm", "lifting_command": "A", "lowering_command": "A"}
+    units = {"displacement": "deg", "lifting_command": "percent", "lowering_command": "percent"}
+    check_tunable(replace(model, units={**model.units, **units}))
 
 
 @pytest.mark.long

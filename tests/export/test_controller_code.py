@@ -26,7 +26,7 @@ def tuned(request, tmp_path_factory):
     hitchid.save(made_up_model(shape=request.param), folder)
     model = hitchid.load(folder)
     controller = made_up_controller(model)
-    return model, ControllerFile(controller, "", model.provenance.digest, {}, {})
+    return model, ControllerFile(controller, "", model.provenance.digest, {}, model.units, {})
 
 
 @pytest.mark.parametrize("precision", ["mixed", pytest.param("single", marks=pytest.mark.long)])

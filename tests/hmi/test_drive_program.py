@@ -49,12 +49,12 @@ def test_a_target_outside_the_travel_is_its_end(target_mm, reached_mm):
     [
         (0.02, {}, "sampling time of 0.01 s, the source of 0.02 s"),
         (0.01, {"displacement": "m"}, "expected displacement in mm, the source has m"),
-        (0.01, {"lowering_command": "mA"}, "expected commands in A, the source has mA"),
+        (0.01, {"lowering_command": "mA"}, "expected lowering_command in A, the source has mA"),
     ],
 )
 def test_a_controller_does_not_drive_a_source_with_another_clock_or_other_units(step_s, changed, problem):
     units = {"lifting_command": "A", "lowering_command": "A", "displacement": "mm"}
-    check_clock_and_units(0.01, 0.01, units)
+    check_clock_and_units(0.01, units, 0.01, units)
     with pytest.raises(InputError) as error:
-        check_clock_and_units(0.01, step_s, {**units, **changed})
+        check_clock_and_units(0.01, units, step_s, {**units, **changed})
     assert problem in str(error.value)

@@ -4,7 +4,7 @@ import importlib
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,7 +14,7 @@ from hitchid.cli.program import command_line
 from hitchid.errors import InputError
 
 if TYPE_CHECKING:
-    from hitchid.control import ControllerFile, PositionController
+    from hitchid.control import ControllerFile
     from hitchid.model import Hitch
 
 
@@ -24,6 +24,20 @@ def drive(
     ],
     out: Annotated[Path, typer.Option("--out", help="Folder to write: report.html, figures, metrics.json.")],
     rig: Annotated[str, typer.Option("--rig", help="Parameter set: a name or a TOML file.")] = "nominal",
+    plant: Annotated[
+        str | None,
+        typer.Option(
+            "--plant",
+            help="Plant to drive instead of the bench: MODULE:OBJECT with `reset` and `step`, or `model`, "
+            "the identified model itself. In the units of the controller.",
+        ),
+    ] = None,
+    heavier: Annotated[
+        float,
+        typer.Option(
+            "--heavier", min=-50, max=100, help="Load of `--plant model` beyond that of the tests, %."
+        ),
+    ] = 0.0,
     own: Annotated[
         str | None,
         typer.Option(
@@ -51,23 +65,49 @@ def drive(
     check_inputs(out, [controller, accept, *([Path(rig)] if rig.endswith(".toml") else [])])
     prepare_jax()
     from hitchid._support.progress import ProgressUpdate
+    from hitchid.control import ModelPlant, load_controller
     from hitchid.control import drive as run
-    from hitchid.control import load_controller
     from hitchid.control.limits import check_drive, read_drive_limits
+    from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT
     from hitchid.report import drive_report, write_report
     from hitchid.rig import load_rig
 
     limits = None if accept is None else read_drive_limits(accept)
-    content, bench = load_controller(controller), load_rig(rig)
-    tested = None if own is None else _imported(own)
+    content = load_controller(controller)
+    tested = None if own is None else _imported(own, "--controller", ("initial_state", "step"))
     model, notices = _model(content, controller.parent)
+    chosen_load = loads_of(load) if load else content.load or None
+    travel, units = None, (content.units[DISPLACEMENT], content.units[COMMAND[DIRECTIONS[0]]])
+    if plant is None:
+        if set(content.units.values()) != {"mm", "A"}:
+            raise InputError(
+                f"--rig: the bench is in mm and A, the controller in {' and '.join(_units(content))}; "
+                "expected --plant model or --plant MODULE:OBJECT"
+            )
+        driven = load_rig(rig)
+    else:
+        if model is None:
+            raise InputError(f"--plant: the travel of the model is needed; {notices[0]}")
+        ranges = [channel.operating_range.displacement for channel in model.channels.values()]
+        travel = (
+            max(float(own_range.lowest) for own_range in ranges),
+            min(float(own_range.highest) for own_range in ranges),
+        )
+        if plant == "model":
+            driven = ModelPlant.of(
+                content.controller, model, load=chosen_load, heavier=heavier / 100, draws=draws, seed=seed
+            )
+        else:
+            driven = _imported(plant, "--plant", ("reset", "step"))
     with display.progress(quiet=quiet) as report:
         result = run(
             content.controller,
-            bench,
+            driven,
             tested=tested,
             model=model,
-            load=loads_of(load) if load else content.load or None,
+            load=chosen_load,
+            travel=travel,
+            units=units,
             draws=draws,
             seed=seed,
             progress=report,
@@ -76,7 +116,7 @@ def drive(
         report(ProgressUpdate("report", 0.98))
         document = drive_report(
             result,
-            rig=rig,
+            rig=f"bench {rig}" if plant is None else f"plant {plant}",
             margins=content.margins,
             acceptance=acceptance,
             notices=notices,
@@ -111,21 +151,26 @@ def _model(content: "ControllerFile", folder: Path) -> "tuple[Hitch | None, tupl
     return model, ()
 
 
-def _imported(name: str) -> "PositionController":
+def _units(content: "ControllerFile") -> list[str]:
+    """Return the units of displacement and commands, each once."""
+    return list(dict.fromkeys(content.units.values()))
+
+
+def _imported(name: str, option: str, functions: tuple[str, ...]) -> Any:
     """Return an object by MODULE:OBJECT; modules of the current folder are found, too.
 
     Raises:
-        InputError: the name has another form, or there is no such object, or it is no controller.
+        InputError: the name has another form, there is no such object, or it lacks one of the functions.
     """
     module_name, separator, object_name = name.partition(":")
     if not separator or not module_name or not object_name:
-        raise InputError(f"--controller: expected MODULE:OBJECT, got {name}")
+        raise InputError(f"{option}: expected MODULE:OBJECT, got {name}")
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.insert(0, here)
     try:
         found = getattr(importlib.import_module(module_name), object_name)
     except Exception as error:  # whatever a foreign module raises
-        raise InputError(f"--controller: {name} cannot be imported: {error}") from error
-    if not callable(getattr(found, "initial_state", None)) or not callable(getattr(found, "step", None)):
-        raise InputError(f"--controller: {name} has no functions `initial_state` and `step`")
+        raise InputError(f"{option}: {name} cannot be imported: {error}") from error
+    if not all(callable(getattr(found, function, None)) for function in functions):
+        raise InputError(f"{option}: {name} has no functions `{'` and `'.join(functions)}`")
     return found

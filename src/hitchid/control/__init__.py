@@ -1,9 +1,11 @@
 """Position control of a hitch: design from a model, and proof on the virtual bench."""
 
 from hitchid.control.closed_loop import ClosedLoops as ClosedLoops
+from hitchid.control.closed_loop import Plant as Plant
 from hitchid.control.closed_loop import PositionController as PositionController
 from hitchid.control.closed_loop import Surroundings as Surroundings
 from hitchid.control.closed_loop import run_closed_loops as run_closed_loops
+from hitchid.control.closed_loop import run_plant_loops as run_plant_loops
 from hitchid.control.controller import ControllerState as ControllerState
 from hitchid.control.controller import Gains as Gains
 from hitchid.control.controller import HitchController as HitchController
@@ -21,6 +23,7 @@ from hitchid.control.margins import Margins as Margins
 from hitchid.control.margins import margins as margins
 from hitchid.control.pid import PidController as PidController
 from hitchid.control.pid import baselines as baselines
+from hitchid.control.prediction import ModelPlant as ModelPlant
 from hitchid.control.scenarios import Kind as Kind
 from hitchid.control.scenarios import Scenario as Scenario
 from hitchid.control.scenarios import scenarios as scenarios
@@ -42,8 +45,10 @@ __all__ = [
     "Kind",
     "Limitation",
     "Margins",
+    "ModelPlant",
     "OpenLoop",
     "PidController",
+    "Plant",
     "PositionController",
     "Scenario",
     "Surroundings",
@@ -55,6 +60,7 @@ __all__ = [
     "load_controller",
     "margins",
     "run_closed_loops",
+    "run_plant_loops",
     "save_controller",
     "scenarios",
     "tune",

@@ -28,7 +28,7 @@ class AxisState(NamedTuple):
     Attributes:
         valve: of the undelayed model.
         plant: of the undelayed model, shape [n].
-        increments: signed travel over each of the last samples, the newest first, mm, shape [m].
+        increments: signed travel over each of the last samples, the newest first, shape [m].
     """
 
     valve: ValveState
@@ -44,19 +44,19 @@ class Axis(eqx.Module):
         identified: physical model without its dead time, with what covariates change in it.
         model: discrete model of it at one load.
         dead_time_samples: dead time T over the sampling time.
-        largest_a: largest current of the identification tests, A.
+        largest_command: largest current of the identification tests.
         buffer: samples of travel that are kept, more than the dead time.
     """
 
     identified: PhysicalModel
     model: DiscretePhysicalModel
     dead_time_samples: Scalar
-    largest_a: float = eqx.field(static=True)
+    largest_command: float = eqx.field(static=True)
     buffer: int = eqx.field(static=True)
 
     @classmethod
     def of(
-        cls, benchmark: PhysicalModel, *, sign: int, dead_zone: float, step_s: float, largest_a: float
+        cls, benchmark: PhysicalModel, *, sign: int, dead_zone: float, step_s: float, largest_command: float
     ) -> "Axis":
         """Return the axis of a physical model of a linear structure with an integrator, at its mean load."""
         identified = undelayed(benchmark)
@@ -68,7 +68,7 @@ class Axis(eqx.Module):
             step_s=step_s,
         )
         samples = float(benchmark.dead_time_s) / step_s
-        return cls(identified, model, jnp.asarray(samples), largest_a, buffer_of(samples))
+        return cls(identified, model, jnp.asarray(samples), largest_command, buffer_of(samples))
 
     @property
     def step_s(self) -> float:
@@ -125,41 +125,41 @@ class Axis(eqx.Module):
 
         Args:
             state: of this axis.
-            current: held over the sample, A.
-            displacement: about which gains and dynamics along the stroke are taken, mm.
+            current: held over the sample.
+            displacement: about which gains and dynamics along the stroke are taken.
         """
         valve = self.model.step_valve(state.valve, current)
         plant, increment = self.model.advance(state.plant, valve, displacement)
         return AxisState(valve, plant, jnp.concatenate([increment[None], state.increments[:-1]]))
 
     def under_way(self, state: AxisState) -> Scalar:
-        """Return the travel that was caused but is not measured yet, that of the last dead time, mm."""
+        """Return the travel that was caused but is not measured yet, that of the last dead time."""
         shares = jnp.clip(self.dead_time_samples - jnp.arange(self.buffer), 0.0, 1.0)
         return jnp.sum(shares * state.increments)
 
     def speed(self, state: AxisState) -> Scalar:
-        """Return the speed a dead time ahead, mm/s."""
+        """Return the speed a dead time ahead."""
         return state.increments[0] / self.step_s
 
     def acceleration(self, state: AxisState) -> Scalar:
-        """Return the acceleration a dead time ahead, mm/s²."""
+        """Return the acceleration a dead time ahead."""
         return (state.increments[0] - state.increments[1]) / self.step_s**2
 
     def fastest(self, displacement: Scalar) -> Scalar:
-        """Return the size of the steady speed at the largest current, mm/s."""
-        levels = jnp.asarray(self.largest_a)
+        """Return the size of the steady speed at the largest current."""
+        levels = jnp.asarray(self.largest_command)
         return steady_speed(self.model.benchmark, levels, self.model.dead_zone, displacement)
 
     def current_for(self, speed: Scalar, displacement: Scalar) -> Scalar:
-        """Return the current of a steady speed, at most the largest of the identification tests, A.
+        """Return the current of a steady speed, at most the largest of the identification tests.
 
         Args:
-            speed: size of the speed, mm/s.
+            speed: size of the speed.
             displacement: mm.
         """
         reachable = jnp.minimum(speed, REACHABLE * self.fastest(displacement))
         current = command_for_speed(self.model.benchmark, reachable[None], self.model.dead_zone, displacement)
-        return jnp.clip(current[0], 0.0, self.largest_a)
+        return jnp.clip(current[0], 0.0, self.largest_command)
 
 
 def buffer_of(dead_time_samples: float) -> int:

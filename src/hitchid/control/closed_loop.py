@@ -1,6 +1,6 @@
 """Closed loops of a position controller on the virtual bench, many at once."""
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -32,6 +32,28 @@ class PositionController(Protocol):
 
     def step(self, state: object, target_mm: object, measured_mm: object, /) -> tuple[object, object]:
         """Return the next state, and lifting and lowering current, A; a lost measurement is NaN."""
+        ...
+
+
+@runtime_checkable
+class Plant(Protocol):
+    """Anything that two commands move, one sample at a time, in the units of its controller.
+
+    An Equinox module is traced by JAX and runs many loops at once; any other object runs loop by loop, with
+    plain numbers.
+    """
+
+    def reset(self, displacement: Any, seed: Any, /) -> tuple[Any, Any]:
+        """Return the state of a plant that is held at a displacement, and its first measurement.
+
+        Args:
+            displacement: at which it is held.
+            seed: of noise and whatever else is drawn, a whole number.
+        """
+        ...
+
+    def step(self, state: Any, commands: Any, /) -> tuple[Any, Any]:
+        """Return the next state, and the measurement after a sample of lifting and lowering command."""
         ...
 
 
@@ -156,6 +178,93 @@ def run_closed_loops(
         readings = _run_plain(controller, rig, starts, factors, inputs, start_mm)
     displacement, measured, currents = (np.asarray(rows)[:, :samples] for rows in readings)
     return ClosedLoops(np.asarray(target_mm, float), displacement, measured, currents)
+
+
+@double_precision
+def run_plant_loops(
+    controller: PositionController,
+    plant: Plant,
+    seed: int,
+    target: Float[np.ndarray, " n"],
+    *,
+    start: float,
+    loops: int,
+    sensor_lost: np.ndarray | bool = False,
+) -> ClosedLoops:
+    """Run loops of a plant from elsewhere; what is measured stands for the displacement, too.
+
+    Args:
+        controller: from the target and the measured displacement to the commands.
+        plant: to be moved.
+        seed: of the first loop; the others have those that follow.
+        target: of all loops, shape [N].
+        start: displacement at which the plant is held at first.
+        loops: number T.
+        sensor_lost: whether the controller gets no measurement, shape [N].
+
+    Raises:
+        InputError: the controller returns other than two commands, or the plant no number.
+    """
+    hidden = np.broadcast_to(np.asarray(sensor_lost), target.shape)
+    if isinstance(controller, eqx.Module) and isinstance(plant, eqx.Module):
+        seeds = seed + jnp.arange(loops)
+        padded = np.pad(target, (0, -target.size % CHUNK), mode="edge")
+        lost = np.pad(hidden, (0, -target.size % CHUNK), mode="edge")
+        starts = jax.vmap(plant.reset, (None, 0))(jnp.asarray(start), seeds)
+        state = controller.initial_state(start)
+        own = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (loops, *jnp.shape(leaf))), state)
+        carry, chunks = (*starts, own), []
+        for begin in range(0, padded.size, CHUNK):
+            part = (jnp.asarray(padded[begin : begin + CHUNK]), jnp.asarray(lost[begin : begin + CHUNK]))
+            carry, rows = _run_plant_chunk(controller, plant, carry, part)
+            chunks.append(jax.tree.map(np.asarray, rows))
+        measured, commands = (np.concatenate(rows, axis=1) for rows in zip(*chunks, strict=True))
+        measured, commands = measured[:, : target.size], commands[:, : target.size]
+    else:
+        rows = [_plain_plant_loop(controller, plant, seed + k, target, hidden, start) for k in range(loops)]
+        measured, commands = (np.stack(signals) for signals in zip(*rows, strict=True))
+    return ClosedLoops(np.asarray(target, float), measured, measured, commands)
+
+
+@eqx.filter_jit
+def _run_plant_chunk(
+    controller: PositionController, plant: Plant, carry: tuple, inputs: tuple[Array, Array]
+) -> tuple[tuple, tuple[Array, Array]]:
+    def advance(carry: tuple, sample: tuple[Array, Array]) -> tuple[tuple, tuple[Array, Array]]:
+        state, measured, own = carry
+        target, is_lost = sample
+        own, commands = controller.step(own, target, jnp.where(is_lost, jnp.nan, measured))
+        commands = jnp.asarray(commands, jnp.float64)
+        return (*plant.step(state, commands), own), (measured, commands)
+
+    return jax.vmap(lambda own: jax.lax.scan(advance, own, inputs))(carry)
+
+
+def _plain_plant_loop(
+    controller: PositionController,
+    plant: Plant,
+    seed: int,
+    target: Float[np.ndarray, " n"],
+    lost: np.ndarray,
+    start: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    own, rows = controller.initial_state(start), []
+    state, measured = plant.reset(start, seed)
+    for wanted, is_lost in zip(target, lost, strict=True):
+        reading = _number(measured)
+        own, commands = controller.step(own, float(wanted), np.nan if is_lost else reading)
+        applied = _two_currents(commands)
+        rows.append((reading, applied))
+        state, measured = plant.step(state, applied)
+    readings, commands = zip(*rows, strict=True)
+    return np.array(readings), np.array(commands)
+
+
+def _number(measured: object) -> float:
+    try:
+        return float(measured)  # pyright: ignore[reportArgumentType]
+    except (TypeError, ValueError):
+        raise InputError(f"plant: expected a number as its measurement; got {measured!r}") from None
 
 
 @double_precision

@@ -17,7 +17,10 @@ from hitchid.control.reference import Reference, ReferenceLimits
 Scalar = Float[Array, ""]
 TARGET_SPEED_S = 0.05  # s, time constant of the speed of a moving target; chosen: five samples
 SMOOTHING_S = 0.2  # s, time constant of the smoothed position; chosen: a sixth of the noise is left
-TRACKING_MM_S = 0.05  # mm/s; a target that moves less stands still: 3 mm in a minute; chosen
+# s, for which a held hitch that was moved back is moved again only beyond so many outer windows, so that a
+# leak costs one valve action in this time; chosen.
+REST_S, RESTLESS = 10.0, 2.0
+STILL_SHARE = 0.003  # of the largest speed; a target that moves less stands still; chosen
 
 
 @short_repr
@@ -42,12 +45,12 @@ class HoldWindow(NamedTuple):
     """Errors of the position between which a standing hitch is held with closed valves.
 
     Attributes:
-        inner_mm: below this error the valves close.
-        outer_mm: above this error they open again.
+        inner: below this error the valves close.
+        outer: above this error they open again.
     """
 
-    inner_mm: Scalar | float
-    outer_mm: Scalar | float
+    inner: Scalar | float
+    outer: Scalar | float
 
 
 @short_repr
@@ -57,31 +60,35 @@ class ControllerState(NamedTuple):
     Attributes:
         axes: models of lifting and lowering.
         reference: shaped reference.
-        integral_mm_s: speed that the integral part asks for.
+        integral: speed that the integral part asks for.
         is_holding: whether the hitch is held with closed valves.
-        smoothed_mm: predicted position without most of its noise.
-        measured_mm: last valid measurement.
+        rest_s: since a held hitch was last moved back to its target, at most `REST_S`.
+        smoothed: predicted position without most of its noise.
+        measured: last valid measurement.
         is_lost: whether the last measurement was missing.
-        target_mm: last valid target.
-        target_speed_mm_s: of a moving target.
-        currents_a: last currents, A, shape [2].
+        target: last valid target.
+        target_speed: of a moving target.
+        commands: last currents, shape [2].
     """
 
     axes: tuple[AxisState, AxisState]
     reference: Reference
-    integral_mm_s: Scalar
+    integral: Scalar
     is_holding: Bool[Array, ""]
-    smoothed_mm: Scalar
-    measured_mm: Scalar
+    rest_s: Scalar
+    smoothed: Scalar
+    measured: Scalar
     is_lost: Bool[Array, ""]
-    target_mm: Scalar
-    target_speed_mm_s: Scalar
-    currents_a: Float[Array, "2"]
+    target: Scalar
+    target_speed: Scalar
+    commands: Float[Array, "2"]
 
 
 @short_repr
 class HitchController(eqx.Module):
     """Position controller of a hitch, one sample at a time: `initial_state`, then `step` by `step`.
+
+    Displacements, speeds and commands are in the units of the identified model, such as mm, mm/s and A.
 
     With the reference r, and position y_p, speed v_p and acceleration a_p that the model predicts a dead time
     ahead::
@@ -97,23 +104,22 @@ class HitchController(eqx.Module):
     Attributes:
         axes: models of lifting and lowering.
         gains: of lifting and lowering.
-        acceleration: largest of the reference, lifting and lowering, mm/s², shape [2].
-        speed_share: largest speed of the reference over that of the largest current, which leaves the rest to
-            the correction of errors.
+        deceleration: of the reference, lifting and lowering, shape [2].
+        speed_share: largest speed of the reference over that of the largest current.
         lags_s: τ of lifting and lowering, s, shape [2].
-        crossing_mm_s: speed of lifting and lowering below which the current falls to zero, shape [2].
+        crossing_speed: speed of lifting and lowering below which the current falls to zero, shape [2].
         hold: window.
-        rate_a_s: fastest rise of a current, A/s; it falls at any rate.
+        rate: fastest rise of a current; it falls at any rate.
     """
 
     axes: tuple[Axis, Axis]
     gains: tuple[Gains, Gains]
-    acceleration: Float[Array, "2"]
+    deceleration: Float[Array, "2"]
     speed_share: Scalar
     lags_s: Float[Array, "2"]
-    crossing_mm_s: Float[Array, "2"]
+    crossing_speed: Float[Array, "2"]
     hold: HoldWindow
-    rate_a_s: Scalar
+    rate: Scalar
 
     @property
     def step_s(self) -> float:
@@ -121,41 +127,42 @@ class HitchController(eqx.Module):
         return self.axes[0].step_s
 
     @double_precision
-    def initial_state(self, displacement_mm: Scalar | float) -> ControllerState:
-        """Return the state of a hitch that is held at a displacement, mm."""
-        start = jnp.asarray(displacement_mm, jnp.float64)
+    def initial_state(self, displacement: Scalar | float) -> ControllerState:
+        """Return the state of a hitch that is held at a displacement."""
+        start = jnp.asarray(displacement, jnp.float64)
         zero, no = jnp.zeros(()), jnp.asarray(False)
         lifting, lowering = self.axes
         return ControllerState(
             axes=(lifting.initial_state(start), lowering.initial_state(start)),
             reference=Reference.at_rest(start),
-            integral_mm_s=zero,
+            integral=zero,
             is_holding=jnp.asarray(True),
-            smoothed_mm=start,
-            measured_mm=start,
+            rest_s=jnp.asarray(REST_S),
+            smoothed=start,
+            measured=start,
             is_lost=no,
-            target_mm=start,
-            target_speed_mm_s=zero,
-            currents_a=jnp.zeros(2),
+            target=start,
+            target_speed=zero,
+            commands=jnp.zeros(2),
         )
 
     @double_precision
     def step(
-        self, state: ControllerState, target_mm: Scalar | float, measured_mm: Scalar | float
+        self, state: ControllerState, target: Scalar | float, measured: Scalar | float
     ) -> tuple[ControllerState, Float[Array, "2"]]:
-        """Return the next state, and lifting and lowering current of this sample, A, shape [2].
+        """Return the next state, and lifting and lowering current of this sample, shape [2].
 
         Args:
             state: from `initial_state` or an earlier step.
-            target_mm: where the hitch shall be; one that is not finite keeps its last value.
-            measured_mm: displacement; not finite where the sensor gives none.
+            target: where the hitch shall be; one that is not finite keeps its last value.
+            measured: displacement; not finite where the sensor gives none.
         """
-        return _step(self, state, jnp.asarray(target_mm, jnp.float64), jnp.asarray(measured_mm, jnp.float64))
+        return _step(self, state, jnp.asarray(target, jnp.float64), jnp.asarray(measured, jnp.float64))
 
     def limits_at(self, displacement: Scalar) -> ReferenceLimits:
-        """Return the limits of the reference at a displacement, mm."""
+        """Return the limits of the reference at a displacement."""
         fastest = jnp.stack([axis.fastest(displacement) for axis in self.axes])
-        return ReferenceLimits(self.speed_share * fastest, self.acceleration)
+        return ReferenceLimits(self.speed_share * fastest, self.lags_s, self.deceleration)
 
     @double_precision
     def at_load(self, load: Mapping[str, float]) -> "HitchController":
@@ -180,8 +187,8 @@ def _step(
     controller: HitchController, state: ControllerState, target: Scalar, measured: Scalar
 ) -> tuple[ControllerState, Float[Array, "2"]]:
     is_lost = ~jnp.isfinite(measured)
-    position = jnp.where(is_lost, state.measured_mm, measured)
-    target = jnp.where(jnp.isfinite(target), target, state.target_mm)
+    position = jnp.where(is_lost, state.measured, measured)
+    target = jnp.where(jnp.isfinite(target), target, state.target)
     limits = controller.limits_at(position)
     target_speed = _target_speed(state, target, limits, controller.step_s)
     axes = tuple(zip(controller.axes, state.axes, strict=True))
@@ -196,16 +203,26 @@ def _step(
     reference = limits.step(
         start, _led_target(controller, target, target_speed), target_speed, controller.step_s
     )
-    smoothed = state.smoothed_mm + controller.step_s / SMOOTHING_S * (predicted - state.smoothed_mm)
+    smoothed = state.smoothed + controller.step_s / SMOOTHING_S * (predicted - state.smoothed)
     smoothed = jnp.where(restarts, predicted, smoothed)
-    is_holding = _is_holding(controller, state, reference, target, smoothed, speed) & ~is_lost
     error = reference.position - predicted
+    integral = jnp.where(restarts, 0.0, state.integral)
+    integral, wanted, error = _wanted_speed(
+        controller, integral, reference, error, speed, acceleration, position
+    )
+    reference = reference._replace(position=predicted + error)
+    currents = _currents(controller, state.commands, wanted, position)
+    still = STILL_SHARE * jnp.min(limits.speed)
+    stands = (jnp.abs(state.target_speed) < still) & (target == state.target)
+    stops = jnp.any(state.commands > 0) & ~jnp.any(currents > 0)
+    is_holding = stands & _is_near(controller, state, reference, target, smoothed, speed, stops) & ~is_lost
+    reopens = stands & state.is_holding & ~is_holding
+    rest_s = jnp.minimum(jnp.where(reopens, 0.0, state.rest_s + controller.step_s), REST_S)
+    rest_s = jnp.where(stands, rest_s, REST_S)
     closed = is_lost | is_holding
-    integral = jnp.where(restarts, 0.0, state.integral_mm_s)
-    integral, wanted = _wanted_speed(controller, integral, reference, error, speed, acceleration, position)
     integral = jnp.where(closed, 0.0, integral)
-    currents = jnp.where(closed, 0.0, _currents(controller, wanted, position))
-    currents = jnp.minimum(currents, state.currents_a + controller.rate_a_s * controller.step_s)
+    currents = jnp.where(closed, 0.0, currents)
+    currents = jnp.minimum(currents, state.commands + controller.rate * controller.step_s)
     advanced = (
         lifting.step(lifting_state, currents[0], position),
         lowering.step(lowering_state, currents[1], position),
@@ -218,24 +235,25 @@ def _step(
     next_state = ControllerState(
         axes=advanced,
         reference=reference,
-        integral_mm_s=integral,
+        integral=integral,
         is_holding=is_holding,
-        smoothed_mm=smoothed,
-        measured_mm=position,
+        rest_s=rest_s,
+        smoothed=smoothed,
+        measured=position,
         is_lost=is_lost,
-        target_mm=target,
-        target_speed_mm_s=target_speed,
-        currents_a=currents,
+        target=target,
+        target_speed=target_speed,
+        commands=currents,
     )
     return next_state, currents
 
 
 def _target_speed(state: ControllerState, target: Scalar, limits: ReferenceLimits, step_s: float) -> Scalar:
     """Return the smoothed speed of a moving target, mm/s; zero after a jump that is faster than the hitch."""
-    change = (target - state.target_mm) / step_s
+    change = (target - state.target) / step_s
     is_reachable = (change <= limits.speed[0]) & (change >= -limits.speed[1])
     share = step_s / TARGET_SPEED_S
-    smoothed = state.target_speed_mm_s + share * (change - state.target_speed_mm_s)
+    smoothed = state.target_speed + share * (change - state.target_speed)
     return jnp.where(is_reachable, smoothed, 0.0)
 
 
@@ -246,21 +264,25 @@ def _led_target(controller: HitchController, target: Scalar, target_speed: Scala
     return target + target_speed * lead_s
 
 
-def _is_holding(
+def _is_near(
     controller: HitchController,
     state: ControllerState,
     reference: Reference,
     target: Scalar,
     smoothed: Scalar,
     speed: Scalar,
+    stops: Bool[Array, ""],
 ) -> Bool[Array, ""]:
-    """Return whether the target stands and the hitch will stand near it when the valves close now."""
-    stands = (jnp.abs(state.target_speed_mm_s) < TRACKING_MM_S) & (target == state.target_mm)
+    """Return whether the hitch stands near enough to the target, or will when the valves close now."""
+    hold = controller.hold
     coasting = speed * jnp.where(speed > 0, *controller.lags_s)
     error = jnp.abs(target - smoothed - coasting)
-    arrived = jnp.abs(reference.position - target) < controller.hold.inner_mm
-    window = jnp.where(state.is_holding, controller.hold.outer_mm, controller.hold.inner_mm)
-    return stands & (state.is_holding | arrived) & (error < window)
+    arrived = jnp.abs(reference.position - target) < hold.inner
+    restless = state.rest_s < REST_S
+    held = jnp.where(restless, RESTLESS * hold.outer, hold.outer)
+    landing = jnp.where(stops & restless, hold.outer, hold.inner)
+    window = jnp.where(state.is_holding, held, landing)
+    return (state.is_holding | arrived) & (error < window)
 
 
 def _wanted_speed(
@@ -271,8 +293,12 @@ def _wanted_speed(
     speed: Scalar,
     acceleration: Scalar,
     position: Scalar,
-) -> tuple[Scalar, Scalar]:
-    """Return the integral part and the speed that is wanted, mm/s."""
+) -> tuple[Scalar, Scalar, Scalar]:
+    """Return the integral part and the speed that is wanted, and the error of a reference that waits.
+
+    Where more than the largest current is wanted, the reference is held back to where its error asks for no
+    more: it stays beside the piston, and so begins to brake where the piston must.
+    """
     upward = jnp.where(reference.speed == 0, error > 0, reference.speed > 0)
     gains = Gains(*(jnp.where(upward, *pair) for pair in zip(*controller.gains, strict=True)))
     integrated = integral + controller.step_s * gains.integral * error
@@ -285,15 +311,26 @@ def _wanted_speed(
     )
     wanted = direct + integrated
     lifting, lowering = (axis.fastest(position) for axis in controller.axes)
-    limited = ((wanted > lifting) & (error > 0)) | ((wanted < -lowering) & (error < 0))
-    return jnp.where(limited, integral, integrated), jnp.where(limited, direct + integral, wanted)
+    beyond = jnp.abs(wanted - jnp.clip(wanted, -lowering, lifting))
+    limited = (beyond > 0) & (wanted * error > 0)
+    waiting = jnp.sign(error) * jnp.maximum(jnp.abs(error) - beyond / gains.proportional, 0.0)
+    return (
+        jnp.where(limited, integral, integrated),
+        jnp.where(limited, direct + integral, wanted),
+        jnp.where(limited, waiting, error),
+    )
 
 
-def _currents(controller: HitchController, wanted: Scalar, position: Scalar) -> Float[Array, "2"]:
-    """Return the currents of a wanted speed: that of its direction, and zero."""
+def _currents(
+    controller: HitchController, before: Float[Array, "2"], wanted: Scalar, position: Scalar
+) -> Float[Array, "2"]:
+    """Return the currents of a wanted speed: that of its direction, and zero.
+
+    A closed valve opens at the crossing speed and closes at zero, so that noise does not open it again.
+    """
     currents = []
-    for axis, crossing in zip(controller.axes, controller.crossing_mm_s, strict=True):
+    for axis, crossing, last in zip(controller.axes, controller.crossing_speed, before, strict=True):
         size = jnp.maximum(axis.sign * wanted, 0.0)
-        share = jnp.minimum(size / crossing, 1.0)
+        share = jnp.where((size >= crossing) | (last > 0), jnp.minimum(size / crossing, 1.0), 0.0)
         currents.append(share * axis.current_for(jnp.maximum(size, crossing), position))
     return jnp.stack(currents)

@@ -27,6 +27,10 @@ MIN_DEAD_TIMES = 2.0  # delay margin over the upper end of the dead time's inter
 SHARE = 0.95  # of the draws
 COMMAND_SHARES = (0.2, 0.5, 0.8)  # of the largest effective command: operating points; chosen
 STROKE_SHARES = (0.1, 0.5, 0.9)  # of the displacement's range: operating points; chosen
+# Errors below three standard deviations of the sensor noise open no valve. The speed that they ask for is at
+# most a twentieth of the largest; chosen: with more, noise moves the valves while a slow target is followed.
+CROSSING_NOISE, NOISE_SHARE = 3.0, 0.05
+MIN_NOISE_SHARE = 1e-4  # of the range of displacement, for a sensor without noise; chosen
 MIDDLE = 4  # operating point in the middle of both
 
 
@@ -68,6 +72,7 @@ class DirectionLoops:
         plants: drawn, at each operating point.
         dead_time_s: upper end of the dead time's interval, s.
         vectors: drawn parameters, shape [S, R].
+        noise_rad_s: bandwidth at which the noise of the sensor asks for `NOISE_SHARE` of the largest speed.
     """
 
     direction: str
@@ -78,6 +83,7 @@ class DirectionLoops:
     plants: Sequence[PlantResponse]
     dead_time_s: float
     vectors: Float[np.ndarray, "s r"]
+    noise_rad_s: float
 
     @classmethod
     def of(
@@ -106,8 +112,11 @@ class DirectionLoops:
             plants.append(plant_response(_with_nominal(drawn, nominal), omega, model.step_s))
         dead_times_s = vectors[:, channel.benchmark.values.size]
         upper = float(np.quantile(dead_times_s, 0.975))
-        lags = axis_of(model, channel, row).lags
-        return cls(direction, lags, model.step_s, omega, models, plants, upper, vectors)
+        axis = axis_of(model, channel, row)
+        _, middle = tuple(operating_points(channel))[MIDDLE]
+        fastest = float(axis.fastest(jnp.asarray(middle)))
+        noise_rad_s = NOISE_SHARE * fastest / (CROSSING_NOISE * sensor_noise(model))
+        return cls(direction, axis.lags, model.step_s, omega, models, plants, upper, vectors, noise_rad_s)
 
     def responses(self, gains: Gains) -> list[Complex[np.ndarray, "s f"]]:
         """Return the open loop at each operating point, the model's own first, then those of the draws."""
@@ -151,14 +160,22 @@ def operating_points(channel: Channel) -> Iterator[tuple[float, float]]:
         yield opening + command * (highest - opening), lowest + place * width
 
 
+def sensor_noise(model: Hitch) -> float:
+    """Return the standard deviation of the sensor noise, in the displacement's unit."""
+    channels = model.channels.values()
+    ranges = (channel.operating_range.displacement for channel in channels)
+    widest = max(float(own.highest - own.lowest) for own in ranges)
+    return max(MIN_NOISE_SHARE * widest, *(float(channel.load_filter.noise) for channel in channels))
+
+
 def axis_of(model: Hitch, channel: Channel, row: Float[np.ndarray, " c"]) -> Axis:
     """Return the axis of a channel at values of its covariates, up to the largest current of its tests."""
-    largest_a = channel.dead_zone + float(channel.operating_range.command.highest)
+    largest_command = channel.dead_zone + float(channel.operating_range.command.highest)
     axis = Axis.of(
         channel.benchmark,
         sign=channel.sign,
         dead_zone=channel.dead_zone,
         step_s=model.step_s,
-        largest_a=largest_a,
+        largest_command=largest_command,
     )
     return axis.at_load(dict(zip(channel.benchmark.covariates, row.tolist(), strict=False)))

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -11,12 +12,26 @@ from hitchid._support import checks
 from hitchid._support.precision import double_precision
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent
 from hitchid._support.short_repr import short_repr
-from hitchid.control.closed_loop import ClosedLoops, PositionController, measured_at_rest, run_closed_loops
+from hitchid.control.closed_loop import (
+    ClosedLoops,
+    Plant,
+    PositionController,
+    measured_at_rest,
+    run_closed_loops,
+    run_plant_loops,
+)
 from hitchid.control.controller import HitchController
 from hitchid.control.figures import Figures, iae_ratios
 from hitchid.control.pid import baselines
 from hitchid.control.prediction import Band, band_of, drawn_hitches, run_on_model
-from hitchid.control.scenarios import Kind, Scenario, least_time_s, scenarios, step_name
+from hitchid.control.scenarios import (
+    Kind,
+    Scenario,
+    least_time_s,
+    plant_scenarios,
+    scenarios,
+    step_name,
+)
 from hitchid.model import Hitch
 from hitchid.model.loads import Load
 from hitchid.rig import Rig
@@ -40,7 +55,8 @@ class Drive:
         loops: controller to scenario to signals.
         figures: controller to scenario to figures.
         bands: scenario to the band predicted from the identified model; empty without a model.
-        least_times_s: step to the least time of the bench at the largest current, s.
+        least_times_s: step to the least time of the bench at the largest current, s; empty of another plant.
+        unit, command_unit: of displacement and commands.
     """
 
     scenarios: Mapping[str, Scenario]
@@ -48,6 +64,8 @@ class Drive:
     figures: Mapping[str, Mapping[str, Figures]]
     bands: Mapping[str, Band]
     least_times_s: Mapping[str, float]
+    unit: str = "mm"
+    command_unit: str = "A"
 
     @property
     def draws(self) -> int:
@@ -87,7 +105,7 @@ class Drive:
             f"{scenario.amplitude_mm:g}": {
                 "overshoot": own[name].overshoot_mm,
                 "settling_s": _finite(own[name].settling_s),
-                "t_min_s": _finite(self.least_times_s[name]),
+                "t_min_s": _finite(self.least_times_s.get(name)),
                 "final_error": own[name].final_error_mm,
                 "iae": own[name].iae_mm_s,
             }
@@ -97,8 +115,9 @@ class Drive:
         by_kind = {scenario.kind: own[name] for name, scenario in self.scenarios.items()}
         lost = by_kind[Kind.SENSOR_LOST]
         ramps = [own[name].rmse_mm for name, scenario in self.scenarios.items() if scenario.kind is Kind.RAMP]
-        inside = self.inside_band
+        inside, ploughing = self.inside_band, by_kind.get(Kind.PLOUGHING)
         return {
+            "unit": self.unit,
             "draws": self.draws,
             "steps": steps,
             "hold": {
@@ -108,7 +127,7 @@ class Drive:
             "both_valves_samples": sum(each.both_valves_samples for each in own.values()),
             "sine": {"rmse": by_kind[Kind.SINE].rmse_mm},
             "ramps": {"rmse": max(ramps)},
-            "ploughing": {"rmse": by_kind[Kind.PLOUGHING].rmse_mm},
+            **({"ploughing": {"rmse": ploughing.rmse_mm}} if ploughing is not None else {}),
             "changes": self.changed_ratios,
             "sensor_lost": {
                 "samples_until_closed": lost.samples_until_closed,
@@ -130,41 +149,73 @@ class Drive:
 @double_precision
 def drive(
     controller: HitchController,
-    rig: Rig,
+    rig: Rig | Plant,
     *,
     tested: PositionController | None = None,
     model: Hitch | None = None,
     load: Load | None = None,
+    travel: tuple[float, float] | None = None,
+    units: tuple[str, str] = ("mm", "A"),
     draws: int = DRAWS,
     seed: int = 0,
     progress: ProgressCallback = silent,
 ) -> Drive:
     """Drive a controller through all scenarios on the virtual bench, with drawn loads and noise.
 
+    A plant from elsewhere, or the identified model itself, is driven through steps, ramps, a sine and holding
+    within its travel, and loses its sensor once.
+
     Args:
         controller: tuned; the baselines and the largest currents are from its axes.
-        rig: the bench.
+        rig: the bench, or a plant from elsewhere, such as `ModelPlant`.
         tested: another controller to be proved in its place.
         model: from which the band of each run is predicted before it; None for no bands.
         load: covariates of the runs that are predicted; their mean by default.
+        travel: lowest and highest displacement of a plant from elsewhere.
+        units: of displacement and commands.
         draws: closed loops of a scenario.
         seed: of loads and noise.
         progress: called with what is done.
 
     Raises:
-        InputError: a number is out of range, or `tested` returns other than two currents.
+        InputError: a number is out of range, a plant from elsewhere comes without its travel, or `tested`
+            returns other than two currents.
     """
     checks.instance(controller, HitchController, "controller", "a controller as load_controller returns it")
     checks.integer(draws, "draws", minimum=1)
     checks.integer(seed, "seed")
-    middle = jnp.asarray(500 * float(rig.cylinder.stroke))
-    slowest = min(float(axis.fastest(middle)) for axis in controller.axes)
+    if isinstance(rig, Rig):
+        middle = 500 * float(rig.cylinder.stroke)
+    elif travel is None or not travel[0] < travel[1]:
+        raise checks.input_error("travel", "lowest and highest displacement of the plant", travel)
+    else:
+        middle = 0.5 * sum(travel)
+    slowest = min(float(axis.fastest(jnp.asarray(middle))) for axis in controller.axes)
+    if not isinstance(rig, Rig):
+        lowest, highest = cast(tuple[float, float], travel)
+        todo = plant_scenarios(lowest, highest, slowest, units[0])
+        loops = {}
+        for number, (name, each) in enumerate(_controllers(controller, tested).items()):
+            progress(ProgressUpdate(f"closed loops: {name}", 0.2 + 0.2 * number))
+            loops[name] = {
+                scenario.name: run_plant_loops(
+                    each,
+                    rig,
+                    seed,
+                    scenario.target_mm,
+                    start=scenario.start_mm,
+                    loops=draws,
+                    sensor_lost=scenario.surroundings.sensor_lost,
+                )
+                for scenario in todo
+            }
+        by_name = {scenario.name: scenario for scenario in todo}
+        return Drive(by_name, loops, _figures(by_name, loops), {}, {}, *units)
     todo = scenarios(rig, slowest)
     factors = np.random.default_rng(seed).uniform(1 - LOAD_SPREAD, 1 + LOAD_SPREAD, draws)
     bands = {} if model is None else _bands(controller, rig, model, load, todo, seed, progress)
-    loops: dict[str, dict[str, ClosedLoops]] = {}
-    all_controllers = {TESTED: controller if tested is None else tested, **baselines(controller)}
-    for number, (name, each) in enumerate(all_controllers.items()):
+    loops = {}
+    for number, (name, each) in enumerate(_controllers(controller, tested).items()):
         loops[name] = {}
         progress(ProgressUpdate(f"closed loops: {name}", 0.2 + 0.2 * number))
         for scenario in todo:
@@ -178,17 +229,29 @@ def drive(
                 surroundings=scenario.surroundings,
             )
     by_name = {scenario.name: scenario for scenario in todo}
-    figures = {
-        name: {scenario: Figures.of(by_name[scenario], each) for scenario, each in own.items()}
-        for name, own in loops.items()
-    }
-    largest_a = np.array([axis.largest_a for axis in controller.axes])
+    largest_command = np.array([axis.largest_command for axis in controller.axes])
     times_s = {
-        scenario.name: least_time_s(rig, largest_a, scenario)
+        scenario.name: least_time_s(rig, largest_command, scenario)
         for scenario in todo
         if scenario.kind is Kind.STEP
     }
-    return Drive(by_name, loops, figures, bands, times_s)
+    return Drive(by_name, loops, _figures(by_name, loops), bands, times_s)
+
+
+def _controllers(
+    controller: HitchController, tested: PositionController | None
+) -> dict[str, PositionController]:
+    own = cast(PositionController, controller) if tested is None else tested
+    return {TESTED: own, **cast(dict[str, PositionController], baselines(controller))}
+
+
+def _figures(
+    by_name: Mapping[str, Scenario], loops: Mapping[str, Mapping[str, ClosedLoops]]
+) -> dict[str, dict[str, Figures]]:
+    return {
+        name: {scenario: Figures.of(by_name[scenario], each) for scenario, each in own.items()}
+        for name, own in loops.items()
+    }
 
 
 def _bands(

@@ -12,8 +12,6 @@ from hitchid.control.scenarios import Kind, Scenario
 from hitchid.rig.simulation import SAMPLE_S
 
 SHARE = 0.95  # of the loops, whose worst figure is stated
-TOLERANCE_MM = {5.0: 1.0}  # of the settling time of a step, by its size; 2 mm for others
-WIDE_MM = 2.0
 FINAL_S = 1.0  # s at the end of a run over which the final error is averaged
 ON_A = 1e-9  # A, above which a valve is on
 
@@ -108,7 +106,7 @@ def _settling_s(scenario: Scenario, errors: Float[np.ndarray, "t n"]) -> float |
     """Return the time after which no displacement is outside the tolerance; infinite at the end of a run."""
     if not scenario.amplitude_mm:
         return None
-    outside = ~(np.abs(errors) <= TOLERANCE_MM.get(abs(scenario.amplitude_mm), WIDE_MM))
+    outside = ~(np.abs(errors) <= scenario.tolerance)
     last = errors.shape[1] - np.argmax(outside[:, ::-1], axis=1)
     settled = np.where(outside.any(axis=1), np.where(outside[:, -1], np.inf, last), 0)
     ordered = np.sort(SAMPLE_S * settled)

@@ -25,7 +25,7 @@ from hitchid.model.channel_description import describe_channel, read_physical_mo
 from hitchid.model.schema import Described, Number, PhysicalDescription, Positive, Row, Size, StepTime
 from hitchid.structures import structure_named
 
-FORMAT = 1
+FORMAT = 2
 # Of a channel's description in model.json; what is None there is left out here.
 MODEL_KEYS = ("structure", "values", "dead_time_s", "shape", "scheduling", "direction", "dead_zone")
 CURVE_ROWS = 33  # of the table of speed and current, for other systems; chosen
@@ -34,8 +34,8 @@ CURVE_ROWS = 33  # of the table of speed and current, for other systems; chosen
 class Curve(Described):
     """Speed and current in the middle of the stroke, for a look-up block of another system."""
 
-    speed_mm_per_s: Row[float]
-    current_A: Row[float]
+    speed: Row[float]
+    command: Row[float]
 
 
 class MarginsContent(Described):
@@ -59,14 +59,14 @@ class MarginsContent(Described):
 class DirectionContent(Described):
     """Gains, limits, curve, margins and model of one direction; see `HitchController`."""
 
-    proportional_1_per_s: Size
+    proportional_1_per_s: Positive
     integral_1_per_s2: Size
     speed_1: Size
     acceleration_s: Size
-    acceleration_mm_per_s2: Positive
+    deceleration: Positive
     lag_s: Size
-    crossing_mm_per_s: Size
-    largest_current_A: Positive
+    crossing_speed: Positive
+    largest_command: Positive
     curve: Curve
     margins: MarginsContent
     model: PhysicalDescription
@@ -83,8 +83,16 @@ class DirectionContent(Described):
 class HoldContent(Described):
     """Window in which the hitch is held; see `HoldWindow`."""
 
-    inner_mm: Size
-    outer_mm: Size
+    inner: Size
+    outer: Size
+
+
+class UnitsContent(Described):
+    """Units of displacement and commands."""
+
+    displacement: str
+    lifting_command: str
+    lowering_command: str
 
 
 class ModelReference(Described):
@@ -100,13 +108,14 @@ class ControllerContent(Described):
     format: int
     method: str
     step_s: StepTime
-    speed_share: Annotated[float, Field(gt=0, le=1)]
-    rate_A_per_s: Positive
+    speed_share: Annotated[float, Field(gt=0, le=2)]
+    rate: Positive
     draws: Annotated[int, Field(ge=0, le=10**9)]
     hold: HoldContent
     model: ModelReference
+    units: UnitsContent
     load: dict[str, Number]
-    trials_mm_s: dict[str, Annotated[float, Field(allow_inf_nan=True)]]
+    trials: dict[str, Annotated[float, Field(allow_inf_nan=True)]]
     lifting: DirectionContent
     lowering: DirectionContent
 
@@ -135,6 +144,7 @@ class ControllerFile:
         model: folder of the model, as written; relative to the file's folder.
         digest: of the model.
         load: covariates that it is tuned for, by name.
+        units: of displacement and commands, by role.
         margins: direction to name and value of its margins.
     """
 
@@ -142,6 +152,7 @@ class ControllerFile:
     model: str
     digest: str
     load: Mapping[str, float]
+    units: Mapping[str, str]
     margins: Mapping[str, Mapping[str, float]]
 
 
@@ -180,26 +191,34 @@ def load_controller(path: str | Path) -> ControllerFile:
             sign=row.model.direction,
             dead_zone=row.model.dead_zone,
             step_s=content.step_s,
-            largest_a=row.largest_current_A,
+            largest_command=row.largest_command,
         ).at_load(content.load)
         for row in rows
     ]
     controller = HitchController(
         axes=(axes[0], axes[1]),
         gains=(_gains(rows[0]), _gains(rows[1])),
-        acceleration=jnp.asarray([row.acceleration_mm_per_s2 for row in rows]),
+        deceleration=jnp.asarray([row.deceleration for row in rows]),
         speed_share=jnp.asarray(content.speed_share),
         lags_s=jnp.asarray([row.lag_s for row in rows]),
-        crossing_mm_s=jnp.asarray([row.crossing_mm_per_s for row in rows]),
-        hold=HoldWindow(content.hold.inner_mm, content.hold.outer_mm),
-        rate_a_s=jnp.asarray(content.rate_A_per_s),
+        crossing_speed=jnp.asarray([row.crossing_speed for row in rows]),
+        hold=HoldWindow(jnp.asarray(content.hold.inner), jnp.asarray(content.hold.outer)),
+        rate=jnp.asarray(content.rate),
     )
     margins = {direction: row.margins.model_dump() for direction, row in zip(DIRECTIONS, rows, strict=True)}
-    return ControllerFile(controller, content.model.folder, content.model.digest, content.load, margins)
+    return ControllerFile(
+        controller,
+        content.model.folder,
+        content.model.digest,
+        content.load,
+        content.units.model_dump(),
+        margins,
+    )
 
 
 def _gains(row: DirectionContent) -> Gains:
-    return Gains(row.proportional_1_per_s, row.integral_1_per_s2, row.speed_1, row.acceleration_s)
+    values = (row.proportional_1_per_s, row.integral_1_per_s2, row.speed_1, row.acceleration_s)
+    return Gains(*map(jnp.asarray, values))
 
 
 def _content(tuning: Tuning, model: Hitch, model_folder: str) -> dict[str, Any]:
@@ -213,10 +232,10 @@ def _content(tuning: Tuning, model: Hitch, model_folder: str) -> dict[str, Any]:
             "integral_1_per_s2": float(gains.integral),
             "speed_1": float(gains.speed),
             "acceleration_s": float(gains.acceleration),
-            "acceleration_mm_per_s2": float(controller.acceleration[number]),
+            "deceleration": float(controller.deceleration[number]),
             "lag_s": float(controller.lags_s[number]),
-            "crossing_mm_per_s": float(controller.crossing_mm_s[number]),
-            "largest_current_A": axis.largest_a,
+            "crossing_speed": float(controller.crossing_speed[number]),
+            "largest_command": axis.largest_command,
             "curve": _curve(axis),
             "margins": {
                 "gain_dB": float(margins.worst.gain_db),
@@ -238,12 +257,13 @@ def _content(tuning: Tuning, model: Hitch, model_folder: str) -> dict[str, Any]:
         "method": tuning.method,
         "step_s": controller.step_s,
         "speed_share": float(controller.speed_share),
-        "rate_A_per_s": float(controller.rate_a_s),
+        "rate": float(controller.rate),
         "draws": tuning.draws,
-        "hold": {"inner_mm": float(controller.hold.inner_mm), "outer_mm": float(controller.hold.outer_mm)},
+        "hold": {"inner": float(controller.hold.inner), "outer": float(controller.hold.outer)},
         "model": {"folder": model_folder, "digest": model.provenance.digest},
+        "units": dict(tuning.units),
         "load": dict(tuning.load),
-        "trials_mm_s": dict(tuning.trials),
+        "trials": dict(tuning.trials),
         **directions,
     }
 
@@ -254,7 +274,7 @@ def _curve(axis: Axis) -> dict[str, list[float]]:
     place = jnp.zeros(()) if nonlinearity is None else nonlinearity.scales.centre
     speeds = np.linspace(0.0, float(axis.fastest(place)), CURVE_ROWS)
     currents = [float(axis.current_for(jnp.asarray(speed), place)) for speed in speeds]
-    return {"speed_mm_per_s": [float(f"{speed:.6g}") for speed in speeds], "current_A": currents}
+    return {"speed": [float(f"{speed:.6g}") for speed in speeds], "command": currents}
 
 
 def _lines(table: Mapping[str, Any], prefix: str = "") -> list[str]:

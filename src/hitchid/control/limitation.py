@@ -63,7 +63,7 @@ def limitation(
     parameter. Ms bounds gain and phase margin (Skogestad & Postlethwaite 2005, sec. 2.4.3).
 
     Args:
-        model: of both directions, in mm, A and s, sampled every 10 ms.
+        model: of both directions, sampled every 10 ms, in any units.
         direction: only this one.
         load: covariates that the controller is tuned for; their mean in the tests by default.
         draws: parameter vectors.

@@ -12,6 +12,7 @@ from hitchid._support.short_repr import short_repr
 from hitchid.control.controller import HitchController
 
 Scalar = Float[Array, ""]
+COMPENSATED = "SIMC PI, dead zone compensated"  # name among the baselines
 DERIVATIVE_FILTER = 0.1  # of the derivative time: lag of the derivative (Åström & Hägglund 2006, sec. 3.3)
 EFFECTIVE_SHARE = 0.5  # of the fastest speed: where the valve is linearised for the gains; chosen
 
@@ -21,7 +22,7 @@ class PidState(NamedTuple):
     """State of a PID controller.
 
     Attributes:
-        integral_a: lifting positive, A.
+        integral_a: lifting positive.
         error_mm: of the sample before, filtered.
         measured_mm: last valid measurement.
     """
@@ -41,8 +42,8 @@ class PidController(eqx.Module):
         proportional: K_p of lifting and lowering, A/mm, shape [2].
         integral_s: T_i, s, shape [2].
         derivative_s: T_d, s, shape [2].
-        offset_a: added to a current that is not zero, A, shape [2]: the dead zone where it is compensated.
-        largest_a: of each current, A, shape [2].
+        offset_a: added to a current that is not zero, shape [2]: the dead zone where it is compensated.
+        largest_command: of each current, shape [2].
         step_s: sampling time, s.
     """
 
@@ -50,12 +51,12 @@ class PidController(eqx.Module):
     integral_s: Float[Array, "2"]
     derivative_s: Float[Array, "2"]
     offset_a: Float[Array, "2"]
-    largest_a: Float[Array, "2"]
+    largest_command: Float[Array, "2"]
     step_s: float = eqx.field(static=True)
 
     @double_precision
     def initial_state(self, displacement_mm: Scalar | float) -> PidState:
-        """Return the state of a hitch that is held at a displacement, mm."""
+        """Return the state of a hitch that is held at a displacement."""
         zero = jnp.zeros(())
         return PidState(zero, zero, jnp.asarray(displacement_mm, jnp.float64))
 
@@ -63,7 +64,7 @@ class PidController(eqx.Module):
     def step(
         self, state: PidState, target_mm: Scalar | float, measured_mm: Scalar | float
     ) -> tuple[PidState, Float[Array, "2"]]:
-        """Return the next state, and lifting and lowering current, A, shape [2]; zero without measurement."""
+        """Return the next state, and lifting and lowering current, shape [2]; zero without measurement."""
         target, measured = jnp.asarray(target_mm, jnp.float64), jnp.asarray(measured_mm, jnp.float64)
         return _step(self, state, target, measured)
 
@@ -85,9 +86,9 @@ def _step(
     signed = direct + integrated
     sizes = jnp.stack([signed, -signed])
     currents = jnp.where(sizes > 0, sizes + controller.offset_a, 0.0)
-    is_limited = jnp.any(currents > controller.largest_a) & (jnp.sign(error) == jnp.sign(signed))
+    is_limited = jnp.any(currents > controller.largest_command) & (jnp.sign(error) == jnp.sign(signed))
     integral = jnp.where(is_limited, state.integral_a, integrated)
-    currents = jnp.where(is_lost, 0.0, jnp.minimum(currents, controller.largest_a))
+    currents = jnp.where(is_lost, 0.0, jnp.minimum(currents, controller.largest_command))
     integral = jnp.where(is_lost, 0.0, integral)
     return PidState(integral, filtered, position), currents
 
@@ -103,7 +104,7 @@ def baselines(controller: HitchController) -> dict[str, PidController]:
     """
     rows = [_simc(controller, number) for number in range(2)]
     gain, lag_s, dead_time_s = (jnp.stack(column) for column in zip(*rows, strict=True))
-    largest = jnp.asarray([axis.largest_a for axis in controller.axes])
+    largest = jnp.asarray([axis.largest_command for axis in controller.axes])
     dead_zones = jnp.asarray([axis.model.dead_zone for axis in controller.axes])
     total_s = lag_s + dead_time_s
     none = jnp.zeros(2)
@@ -121,7 +122,7 @@ def baselines(controller: HitchController) -> dict[str, PidController]:
     )
     return {
         "SIMC PI": simc,
-        "SIMC PI, dead zone compensated": eqx.tree_at(lambda c: c.offset_a, simc, dead_zones),
+        COMPENSATED: eqx.tree_at(lambda c: c.offset_a, simc, dead_zones),
         "fixed PID": fixed,
     }
 

@@ -15,12 +15,13 @@ from hitchid._support.short_repr import short_repr
 from hitchid.control.axis import Axis, AxisState, buffer_of
 from hitchid.control.closed_loop import CHUNK
 from hitchid.control.controller import ControllerState, HitchController
+from hitchid.errors import InputError
 from hitchid.model import Channel, Hitch
 from hitchid.model.load_filter import LoadFilter
 from hitchid.model.loads import Load, channel_load, load_row
 from hitchid.model.parameter_draws import draws_of
 
-MOVING_MM_S = 0.5  # mm/s, slowest motion during which transients arise; chosen
+MOVING_SHARE = 0.03  # of the largest speed: slowest motion during which transients arise; chosen
 # Of the speed, by that of the load: the flow of an orifice goes with the root of the pressure (Merritt 1967,
 # Hydraulic Control Systems, sec. 3.2); a compensated valve takes less.
 SPEED_EXPONENT = 0.5
@@ -34,12 +35,14 @@ class DrawnHitch(eqx.Module):
     Attributes:
         axes: of lifting and lowering.
         filters: scatter of load and transients of lifting and lowering.
-        drift: of a held piston, mm/s.
+        drift: speed of a held piston.
+        speed_factors: on the speed of lifting and lowering, of another load than that of the tests, [2].
     """
 
     axes: tuple[Axis, Axis]
     filters: tuple[LoadFilter, LoadFilter]
     drift: Array
+    speed_factors: Float[Array, "*s 2"]
 
 
 @short_repr
@@ -90,6 +93,7 @@ def drawn_hitches(
     seed: int,
     *,
     load_spread: float = 0.0,
+    heavier: float = 0.0,
 ) -> DrawnHitch | None:
     """Return models with parameters drawn from the distribution of their estimates; None without such.
 
@@ -101,6 +105,8 @@ def drawn_hitches(
         seed: of the draws.
         load_spread: loads of the runs are within ± this share of that of the tests, each as likely, beside
             the scatter between tests.
+        heavier: share by which nobody's measurement tells that the load is heavier than that of the tests:
+            lifting is slower, lowering faster.
     """
     axes, filters = [], []
     spread = SPEED_EXPONENT * load_spread / 3**0.5
@@ -119,7 +125,9 @@ def drawn_hitches(
         known = channel.load_filter
         scattered = replace(known, load_scatter=jnp.hypot(known.load_scatter, spread))
         filters.append(jax.tree.map(lambda value: jnp.broadcast_to(value, (draws,)), scattered))
-    return DrawnHitch(tuple(axes), tuple(filters), jnp.full(draws, model.drift))
+    factor = (1 + heavier) ** SPEED_EXPONENT
+    factors = jnp.tile(jnp.asarray([1 / factor, factor]), (draws, 1))
+    return DrawnHitch(tuple(axes), tuple(filters), jnp.full(draws, model.drift), factors)
 
 
 @double_precision
@@ -172,12 +180,15 @@ def band_of(runs: Float[np.ndarray, "s n"]) -> Band:
 def _start(
     controller: HitchController, hitch: DrawnHitch, key: PRNGKeyArray, start_mm: float, measured_mm: float
 ) -> tuple[_State, ControllerState]:
+    return _at_rest(hitch, key, jnp.asarray(measured_mm)), controller.initial_state(start_mm)
+
+
+def _at_rest(hitch: DrawnHitch, key: PRNGKeyArray, displacement: Array) -> _State:
     key, own = jax.random.split(key)
     scatters = jnp.stack([filter_.load_scatter for filter_ in hitch.filters])
-    displacement = jnp.asarray(measured_mm)
     axes = (hitch.axes[0].initial_state(displacement), hitch.axes[1].initial_state(displacement))
     loads = scatters * jax.random.normal(own, (2,))
-    return _State(axes, displacement, loads, jnp.zeros(2), key), controller.initial_state(start_mm)
+    return _State(axes, displacement, loads, jnp.zeros(2), key)
 
 
 @eqx.filter_jit
@@ -192,15 +203,18 @@ def _run_chunk(
             state, own = carry
             key, drawn = jax.random.split(state.key)
             normal = jax.random.normal(drawn, (5,))
-            noise = jnp.maximum(*(filter_.noise for filter_ in hitch.filters))
-            position = state.displacement + jnp.sum(state.transients)
-            measured = position + noise * normal[0]
+            measured = _measured(hitch, state, normal[0])
             own, currents = controller.step(own, target, measured)
             return (_advance(hitch, state._replace(key=key), currents, normal[1:]), own), measured
 
         return jax.lax.scan(advance, carry, targets)
 
     return jax.vmap(run)(hitches, carry)
+
+
+def _measured(hitch: DrawnHitch, state: _State, normal: Array) -> Array:
+    noise = jnp.maximum(*(filter_.noise for filter_ in hitch.filters))
+    return state.displacement + jnp.sum(state.transients) + noise * normal
 
 
 def _advance(hitch: DrawnHitch, state: _State, currents: Array, normal: Array) -> _State:
@@ -211,13 +225,58 @@ def _advance(hitch: DrawnHitch, state: _State, currents: Array, normal: Array) -
         before = state.axes[number]
         after = axis.step(before, currents[number], state.displacement)
         moved = axis.under_way(before) + after.increments[0] - axis.under_way(after)
-        displacement = displacement + (1 + state.loads[number]) * moved
+        displacement = displacement + hitch.speed_factors[number] * (1 + state.loads[number]) * moved
         kept = jnp.exp(-jnp.abs(moved) / filter_.load_length)
         spread = jnp.sqrt(1 - kept**2) * filter_.load_scatter
         loads.append(kept * state.loads[number] + spread * normal[2 * number])
-        is_moving = jnp.abs(moved) > MOVING_MM_S * step_s
+        is_moving = jnp.abs(moved) > MOVING_SHARE * axis.fastest(state.displacement) * step_s
         decay = jnp.exp(-step_s / filter_.transient_time)
         driven = jnp.where(is_moving, jnp.sqrt(1 - decay**2) * filter_.transient_scatter, 0.0)
         transients.append(decay * state.transients[number] + driven * normal[2 * number + 1])
         axes.append(after)
     return _State((axes[0], axes[1]), displacement, jnp.stack(loads), jnp.stack(transients), state.key)
+
+
+class ModelPlant(eqx.Module):
+    """The identified model as a plant, its parameters, load and noise drawn anew for each loop."""
+
+    hitches: DrawnHitch
+
+    @classmethod
+    def of(
+        cls,
+        controller: HitchController,
+        model: Hitch,
+        *,
+        load: Load | None = None,
+        heavier: float = 0.0,
+        draws: int = 20,
+        seed: int = 0,
+    ) -> "ModelPlant":
+        """Return the plant of a model; see `drawn_hitches`.
+
+        Raises:
+            InputError: the model has no standard errors, from which it could be drawn.
+        """
+        hitches = drawn_hitches(controller, model, load, draws, seed, heavier=heavier)
+        if hitches is None:
+            raise InputError("model: its parameters have no standard errors, so that no plant can be drawn")
+        return cls(hitches)
+
+    def reset(
+        self, displacement: Array | float, seed: Array | int
+    ) -> tuple[tuple[DrawnHitch, _State], Array]:
+        """Return a hitch that is held at a displacement, and its measurement."""
+        hitch = jax.tree.map(lambda rows: rows[seed % self.hitches.drift.size], self.hitches)
+        state = _at_rest(hitch, jax.random.key(seed), jnp.asarray(displacement, jnp.float64))
+        return (hitch, state), state.displacement
+
+    def step(
+        self, state: tuple[DrawnHitch, _State], commands: Array
+    ) -> tuple[tuple[DrawnHitch, _State], Array]:
+        """Return the hitch one sample later, and its measurement then."""
+        hitch, hitch_state = state
+        key, drawn = jax.random.split(hitch_state.key)
+        normal = jax.random.normal(drawn, (5,))
+        after = _advance(hitch, hitch_state._replace(key=key), jnp.asarray(commands), normal[1:])
+        return (hitch, after), _measured(hitch, after, normal[0])

@@ -17,8 +17,8 @@ class Reference(NamedTuple):
 
     Attributes:
         position: mm.
-        speed: mm/s.
-        acceleration: over the sample before, mm/s².
+        speed: its speed.
+        acceleration: over the sample before.
     """
 
     position: Scalar
@@ -36,12 +36,14 @@ class ReferenceLimits(eqx.Module):
     """Limits of the reference, each for lifting and lowering, shape [2].
 
     Attributes:
-        speed: mm/s.
-        acceleration: mm/s², of a speed that rises or falls in that direction.
+        speed: v̂, largest.
+        lag_s: τ of the hitch; a speed grows as that of the hitch at the largest current, v̇ = (v̂ − v)/τ.
+        deceleration: of a speed that falls.
     """
 
     speed: Float[Array, "2"]
-    acceleration: Float[Array, "2"]
+    lag_s: Float[Array, "2"]
+    deceleration: Float[Array, "2"]
 
     def step(self, reference: Reference, target: Scalar, target_speed: Scalar, step_s: float) -> Reference:
         """Return the reference one sample later, on the fastest way to a target that moves at a speed.
@@ -53,18 +55,22 @@ class ReferenceLimits(eqx.Module):
         Args:
             reference: now.
             target: mm.
-            target_speed: mm/s.
+            target_speed: of the target.
             step_s: sampling time h, s.
         """
         distance = target - reference.position
         upward = distance > 0
-        braking = jnp.where(upward, *self.acceleration)
+        braking = jnp.where(upward, *self.deceleration)
         half = 0.5 * braking * step_s
         closing = jnp.minimum(
             jnp.sqrt(half**2 + 2 * braking * jnp.abs(distance)) - half, jnp.abs(distance) / step_s
         )
         wanted = jnp.clip(target_speed + jnp.sign(distance) * closing, -self.speed[1], self.speed[0])
         moving_up = jnp.where(reference.speed == 0, wanted > 0, reference.speed > 0)
-        change = jnp.where(moving_up, *self.acceleration) * step_s
-        speed = reference.speed + jnp.clip(wanted - reference.speed, -change, change)
+        left = jnp.maximum(jnp.where(moving_up, *self.speed) - jnp.abs(reference.speed), 0.0)
+        rise = left * step_s / jnp.maximum(jnp.where(moving_up, *self.lag_s), step_s)
+        fall = jnp.where(moving_up, *self.deceleration) * step_s
+        change = wanted - reference.speed
+        change = jnp.where(moving_up, jnp.clip(change, -fall, rise), jnp.clip(change, -rise, fall))
+        speed = reference.speed + change
         return Reference(reference.position + step_s * speed, speed, (speed - reference.speed) / step_s)

@@ -1,7 +1,7 @@
 """Scenarios that a position controller of a hitch is driven through on the virtual bench."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -13,6 +13,9 @@ from hitchid.rig import Rig, simulate
 from hitchid.rig.simulation import SAMPLE_S
 
 STEPS_MM = (5.0, 20.0, 100.0)
+STEP_SHARES = (0.02, 0.08, 0.4)  # of the stroke of a plant from elsewhere, as those of the bench
+# Within which a step has settled, the smallest one within half: 2 mm of the bench's 250 mm.
+TOLERANCE_MM, SMALL_TOLERANCE_MM, TOLERANCE_SHARE = 2.0, 1.0, 0.008
 RAMP_MM_S, RAMP_S = 8.0, 6.0  # about half the largest speed of the tests; chosen
 SINE_MM, SINE_HZ, SINE_PERIODS = 10.0, 0.1, 3
 HOLD_S = 60.0
@@ -54,6 +57,7 @@ class Scenario:
         begin: sample at which the figures begin.
         surroundings: what acts on the bench.
         amplitude_mm: of a step, signed.
+        tolerance: within which a step has settled.
     """
 
     name: str
@@ -63,6 +67,7 @@ class Scenario:
     begin: int = 0
     surroundings: Surroundings = field(default_factory=Surroundings)
     amplitude_mm: float = 0.0
+    tolerance: float = TOLERANCE_MM
 
 
 def scenarios(rig: Rig, slowest_mm_s: float) -> list[Scenario]:
@@ -75,19 +80,55 @@ def scenarios(rig: Rig, slowest_mm_s: float) -> list[Scenario]:
     middle = 500 * float(rig.cylinder.stroke)
     return [
         *(_step(middle, sign * size, slowest_mm_s) for size in STEPS_MM for sign in (1, -1)),
-        *(_ramp(middle, sign) for sign in (1, -1)),
-        _sine(middle),
+        *(_ramp(middle, sign * RAMP_MM_S, RAMP_S, "mm") for sign in (1, -1)),
+        _sine(middle, SINE_MM, SINE_HZ, "mm"),
         Scenario("hold", Kind.HOLD, np.full(_count(HOLD_S), middle), middle),
         _ploughing(middle, slowest_mm_s),
         *_changes(middle, slowest_mm_s),
         _wear(middle, slowest_mm_s),
-        _sensor_lost(middle, slowest_mm_s),
+        _sensor_lost(_step(middle, STEPS_MM[1], slowest_mm_s)),
     ]
 
 
-def step_name(amplitude_mm: float) -> str:
+def plant_scenarios(lowest: float, highest: float, slowest: float, unit: str) -> list[Scenario]:
+    """Return the scenarios of a plant from elsewhere: steps, ramps, a sine, holding, a lost sensor.
+
+    They have the shares of the stroke and of the speed that those of the bench have, rounded to one digit.
+
+    Args:
+        lowest, highest: ends of the displacement.
+        slowest: of the largest speeds of both directions.
+        unit: of the displacement.
+    """
+    middle, stroke = 0.5 * (lowest + highest), highest - lowest
+    sizes = [_one_digit(share * stroke) for share in STEP_SHARES]
+    steps = [
+        replace(
+            _step(middle, sign * size, slowest, unit),
+            tolerance=TOLERANCE_SHARE * stroke * (0.5 if number == 0 else 1.0),
+        )
+        for number, size in enumerate(sizes)
+        for sign in (1, -1)
+    ]
+    speed, amplitude = _one_digit(0.5 * slowest), _one_digit(0.04 * stroke)
+    frequency = _one_digit(0.4 * slowest / (2 * np.pi * amplitude))
+    ramp_s = min(RAMP_S, 0.4 * stroke / speed)
+    return [
+        *steps,
+        *(_ramp(middle, sign * speed, ramp_s, unit) for sign in (1, -1)),
+        _sine(middle, amplitude, frequency, unit),
+        Scenario("hold", Kind.HOLD, np.full(_count(HOLD_S), middle), middle),
+        _sensor_lost(steps[2]),
+    ]
+
+
+def _one_digit(value: float) -> float:
+    return float(f"{value:.0e}")
+
+
+def step_name(amplitude_mm: float, unit: str = "mm") -> str:
     """Return the name of the scenario of a step."""
-    return f"step {amplitude_mm:+g} mm"
+    return f"step {amplitude_mm:+g} {unit}"
 
 
 def least_time_s(rig: Rig, currents_a: Float[np.ndarray, "2"], scenario: Scenario) -> float:
@@ -111,24 +152,27 @@ def _count(duration_s: float) -> int:
     return round(duration_s / SAMPLE_S)
 
 
-def _step(middle: float, size: float, slowest_mm_s: float) -> Scenario:
+def _step(middle: float, size: float, slowest_mm_s: float, unit: str = "mm") -> Scenario:
     start = middle - 0.5 * size
     way = _count(abs(size) / slowest_mm_s + AFTER_S)
     target = np.concatenate([np.full(_count(BEFORE_S), start), np.full(way, start + size)])
-    return Scenario(step_name(size), Kind.STEP, target, start, _count(BEFORE_S), amplitude_mm=size)
+    tolerance = SMALL_TOLERANCE_MM if abs(size) == STEPS_MM[0] else TOLERANCE_MM
+    name = step_name(size, unit)
+    return Scenario(name, Kind.STEP, target, start, _count(BEFORE_S), amplitude_mm=size, tolerance=tolerance)
 
 
-def _ramp(middle: float, sign: int) -> Scenario:
-    start = middle - sign * 0.5 * RAMP_MM_S * RAMP_S
-    way = start + sign * RAMP_MM_S * SAMPLE_S * np.arange(_count(RAMP_S))
+def _ramp(middle: float, speed: float, ramp_s: float, unit: str) -> Scenario:
+    start = middle - 0.5 * speed * ramp_s
+    way = start + speed * SAMPLE_S * np.arange(_count(ramp_s))
     target = np.concatenate([np.full(_count(BEFORE_S), start), way, np.full(_count(AFTER_S), way[-1])])
-    return Scenario(f"ramp {sign * RAMP_MM_S:+g} mm/s", Kind.RAMP, target, start, _count(BEFORE_S))
+    return Scenario(f"ramp {speed:+g} {unit}/s", Kind.RAMP, target, start, _count(BEFORE_S))
 
 
-def _sine(middle: float) -> Scenario:
-    time_s = SAMPLE_S * np.arange(_count(SINE_PERIODS / SINE_HZ))
-    target = middle + SINE_MM * np.sin(2 * np.pi * SINE_HZ * time_s)
-    return Scenario(f"sine {SINE_MM:g} mm, {SINE_HZ:g} Hz", Kind.SINE, target, middle, _count(1 / SINE_HZ))
+def _sine(middle: float, amplitude: float, frequency_hz: float, unit: str) -> Scenario:
+    time_s = SAMPLE_S * np.arange(_count(SINE_PERIODS / frequency_hz))
+    target = middle + amplitude * np.sin(2 * np.pi * frequency_hz * time_s)
+    name = f"sine {amplitude:g} {unit}, {frequency_hz:g} Hz"
+    return Scenario(name, Kind.SINE, target, middle, _count(1 / frequency_hz))
 
 
 def _ploughing(middle: float, slowest_mm_s: float) -> Scenario:
@@ -157,7 +201,7 @@ def _changes(middle: float, slowest_mm_s: float) -> Iterator[Scenario]:
 
 
 def _changed(step: Scenario, name: str, kind: Kind, around: Surroundings) -> Scenario:
-    return Scenario(name, kind, step.target_mm, step.start_mm, step.begin, around, step.amplitude_mm)
+    return replace(step, name=name, kind=kind, surroundings=around)
 
 
 def _wear(middle: float, slowest_mm_s: float) -> Scenario:
@@ -169,8 +213,7 @@ def _wear(middle: float, slowest_mm_s: float) -> Scenario:
     return _changed(step, f"wear, {step.name}", Kind.WEAR, around)
 
 
-def _sensor_lost(middle: float, slowest_mm_s: float) -> Scenario:
-    step = _step(middle, STEPS_MM[1], slowest_mm_s)
+def _sensor_lost(step: Scenario) -> Scenario:
     time_s = SAMPLE_S * (np.arange(step.target_mm.size) - step.begin)
     lost = (time_s >= LOST_S) & (time_s < 2 * LOST_S)
     return _changed(step, "sensor lost", Kind.SENSOR_LOST, Surroundings(sensor_lost=lost))

@@ -13,16 +13,21 @@ from hitchid._support import checks
 from hitchid._support.precision import double_precision
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent
 from hitchid._support.short_repr import short_repr
-from hitchid.control.controller import Gains, HitchController, HoldWindow
+from hitchid.control.axis import Axis
+from hitchid.control.controller import SMOOTHING_S, Gains, HitchController, HoldWindow
 from hitchid.control.direction_loops import (
+    CROSSING_NOISE,
     MAX_SENSITIVITY,
     MIDDLE,
     MIN_GAIN_DB,
     MIN_PHASE_DEG,
+    NOISE_SHARE,
+    STROKE_SHARES,
     DirectionLoops,
     DirectionMargins,
     axis_of,
     operating_points,
+    sensor_noise,
 )
 from hitchid.control.gain_design import METHODS, GainsOf, pi_gains
 from hitchid.control.prediction import drawn_hitches, loads_of_channels, run_on_model
@@ -34,17 +39,19 @@ from hitchid.model.parameter_draws import DRAWS
 
 LOWEST_RAD_S, HIGHEST_RAD_S = 0.5, 30.0  # bandwidths searched; below, a plant of 0.1 s lag needs no model
 BISECTIONS = 12  # of the bandwidth: its resolution is a thousandth
-SPEED_SHARE = 0.985  # of the largest speed for the reference: 1.5 % are left to correct errors; chosen
-# The reference takes so many lags to full speed; chosen: with one, the bench overshoots where it brakes.
-ACCELERATION_LAGS = 2.0
-# Standard deviations of the sensor noise: half widths of the hold window, and the error below which a current
-# falls to zero; the smoothed position has a sixth of the noise.
-INNER_NOISE, OUTER_NOISE, CROSSING_NOISE = 1.5, 6.0, 3.0
-MIN_NOISE_MM = 0.02  # mm, for a sensor without noise: a window of 0.12 mm; chosen
-RISE_SAMPLES = 2.0  # shortest rise of a current to its largest; chosen
-# Draws, steps and ramps on which methods are compared; chosen.
-TRIAL_DRAWS, TRIAL_STEPS_MM, TRIAL_RAMPS_MM_S = 16, (20.0, -20.0), (8.0, -8.0)
-TRIAL_S, TRIAL_START_S, TRIAL_RAMP_S = 8.0, 0.5, 2.5  # s, of a trial run, and of its ramp: as far as a step
+# Of the largest speed for the reference. With more than one a long way is gone at the largest current, also
+# by a hitch that is faster than the identified one; chosen.
+SPEED_SHARE = 1.1
+DECELERATION_LAGS = 1.5  # in which the reference stops; chosen: with one, the bench overshoots
+# Half widths of the hold window in standard deviations of the sensor noise, of which the smoothed position
+# has a sixth; the outer one is wider by the smallest pulse of a valve.
+INNER_NOISE, OUTER_NOISE = 0.5, 6.0
+NORMAL_95 = 1.96  # standard errors to either end of a 95 % interval
+RISE_SAMPLES = 1.0  # shortest rise of a current to its largest: no limit but the valve's own; chosen
+# Draws on which methods are compared, their steps as a share of the range of displacement, and ramps as far
+# as a step in at least this time, s, at no more than half the largest speed; chosen.
+TRIAL_DRAWS, TRIAL_SHARE, TRIAL_RAMP_S = 16, 0.1, 2.5
+TRIAL_SETTLING_S, TRIAL_START_S = 3.0, 0.5  # s, of a trial run after the longest ramp, and before it; chosen
 
 
 @short_repr
@@ -66,18 +73,18 @@ class TrialRun(NamedTuple):
 
     Attributes:
         time_s: s, shape [N].
-        target_mm: shape [N].
-        measured_mm: shape [S, N].
+        target: in the displacement's unit, shape [N].
+        measured: shape [S, N].
     """
 
     time_s: Float[np.ndarray, " n"]
-    target_mm: Float[np.ndarray, " n"]
-    measured_mm: Float[np.ndarray, "s n"]
+    target: Float[np.ndarray, " n"]
+    measured: Float[np.ndarray, "s n"]
 
     @property
-    def iae_mm_s(self) -> float:
-        """∫ abs(target − measured) dt, the mean of the runs, mm·s."""
-        return float(np.abs(self.measured_mm - self.target_mm).sum(axis=1).mean() * self.time_s[1])
+    def iae(self) -> float:
+        """∫ abs(target − measured) dt, the mean of the runs, in the displacement's unit times s."""
+        return float(np.abs(self.measured - self.target).sum(axis=1).mean() * self.time_s[1])
 
 
 @short_repr
@@ -88,9 +95,11 @@ class Tuning:
     Attributes:
         controller: tuned.
         method: `PI` or `LQI`, whichever has the smaller error in trial runs.
-        trials: method to its IAE over draws, the geometric mean of steps and ramps both ways, mm·s.
+        trials: method to its IAE over draws, the geometric mean of steps and ramps both ways, in the
+            displacement's unit times s.
         margins: direction to its margins.
         load: covariates that it is tuned for, by name; empty without.
+        units: of displacement and commands, by role.
         draws: number of parameter vectors of the margins.
         loops: direction to its open loop.
         steps: step up and step down of the controller on drawn models.
@@ -101,6 +110,7 @@ class Tuning:
     trials: Mapping[str, float]
     margins: Mapping[str, DirectionMargins]
     load: Mapping[str, float]
+    units: Mapping[str, str]
     draws: int
     loops: Mapping[str, OpenLoop] = field(default_factory=dict)
     steps: tuple[TrialRun, ...] = ()
@@ -122,14 +132,14 @@ def tune(
     and LQI with feedback of the predicted speed.
 
     Args:
-        model: of both directions, in mm, A and s, sampled every 10 ms.
+        model: of both directions, sampled every 10 ms, in any units.
         load: covariates that the controller is tuned for; their mean in the tests by default.
         draws: parameter vectors.
         seed: of the draws.
         progress: called with what is done.
 
     Raises:
-        InputError: the model has other units or another clock, lacks a direction or an integrator, or its
+        InputError: the model has another clock, lacks a direction or an integrator, or its
             parameters are too little determined for any bandwidth.
     """
     check_tunable(model)
@@ -150,8 +160,7 @@ def tune(
     if not trials:
         raise InputError(_refusal(loops))
     errors = {
-        name: float(np.exp(np.mean([np.log(run.iae_mm_s) for run in runs])))
-        for name, (_, runs) in trials.items()
+        name: float(np.exp(np.mean([np.log(run.iae) for run in runs]))) for name, (_, runs) in trials.items()
     }
     method = min(errors, key=lambda name: errors[name])
     controller, runs = trials[method]
@@ -161,18 +170,19 @@ def tune(
         errors,
         {loop.direction: loop.margins(gains) for loop, gains in zip(loops, controller.gains, strict=True)},
         _named_load(model, rows),
+        {role: model.units[role] for role in (DISPLACEMENT, *COMMAND.values())},
         draws,
         {
             loop.direction: OpenLoop(loop.omega, loop.responses(gains)[MIDDLE])
             for loop, gains in zip(loops, controller.gains, strict=True)
         },
-        runs[: len(TRIAL_STEPS_MM)],
+        runs[:2],
     )
 
 
 def fastest_gains(loop: DirectionLoops, gains_of: GainsOf) -> Gains | None:
     """Return the gains of the largest bandwidth with all margins; None where the smallest lacks one."""
-    low, high = np.log([LOWEST_RAD_S, HIGHEST_RAD_S])
+    low, high = np.log([LOWEST_RAD_S, max(LOWEST_RAD_S, min(HIGHEST_RAD_S, loop.noise_rad_s))])
 
     def gains(log_bandwidth: float) -> Gains:
         return gains_of(float(np.exp(log_bandwidth)), loop.lags, loop.step_s)
@@ -190,22 +200,43 @@ def _controller(
 ) -> HitchController:
     channels = tuple(model.channels.values())
     axes = tuple(axis_of(model, channel, row) for channel, row in zip(channels, rows, strict=True))
-    noise = max(MIN_NOISE_MM, *(float(channel.load_filter.noise) for channel in channels))
+    noise = sensor_noise(model)
     lags_s = np.array([axis.lags[0] for axis in axes])
-    rise_s = ACCELERATION_LAGS * np.array([a1 + a2**0.5 for a1, a2 in (axis.lags for axis in axes)])
+    stop_s = DECELERATION_LAGS * np.array([a1 + a2**0.5 for a1, a2 in (axis.lags for axis in axes)])
     middle = jnp.asarray(np.mean([point[1] for point in operating_points(channels[0])]))
     fastest = np.array([float(axis.fastest(middle)) for axis in axes])
-    largest = max(axis.largest_a for axis in axes)
+    largest = max(axis.largest_command for axis in axes)
+    pulse = max(_smallest_pulse(model, channel, axis) for channel, axis in zip(channels, axes, strict=True))
     return HitchController(
         axes=(axes[0], axes[1]),
-        gains=(gains[0], gains[1]),
-        acceleration=jnp.asarray(fastest / np.maximum(rise_s, model.step_s)),
+        # Arrays, so that controllers of other gains share their compiled programs.
+        gains=(Gains(*map(jnp.asarray, gains[0])), Gains(*map(jnp.asarray, gains[1]))),
+        deceleration=jnp.asarray(fastest / np.maximum(stop_s, model.step_s)),
         speed_share=jnp.asarray(SPEED_SHARE),
         lags_s=jnp.asarray(lags_s),
-        crossing_mm_s=jnp.asarray([CROSSING_NOISE * noise * gain.proportional for gain in gains]),
-        hold=HoldWindow(INNER_NOISE * noise, OUTER_NOISE * noise),
-        rate_a_s=jnp.asarray(largest / (RISE_SAMPLES * model.step_s)),
+        crossing_speed=jnp.asarray([CROSSING_NOISE * noise * gain.proportional for gain in gains]),
+        hold=HoldWindow(jnp.asarray(INNER_NOISE * noise), jnp.asarray(OUTER_NOISE * noise + pulse)),
+        rate=jnp.asarray(largest / (RISE_SAMPLES * model.step_s)),
     )
+
+
+def _smallest_pulse(model: Hitch, channel: Channel, axis: Axis) -> float:
+    """Return the travel of a valve that opens by as much as is not known of it, until this is seen, Δv T.
+
+    What is not known is half the width of its hysteresis, or, in a model without, the standard error of its
+    dead zone; it makes the speed wrong by Δv for dead time, lag and smoothing.
+    """
+    nonlinearity = channel.benchmark.nonlinearity
+    if nonlinearity is not None:
+        place = nonlinearity.scales.centre
+        width = 0.5 * float(nonlinearity.named("hysteresis")[0]) * channel.dead_zone
+    else:
+        place = jnp.zeros(())
+        lower, upper = model.parameters[channel.direction, "dead_zone"].interval
+        width = 0.0 if lower is None or upper is None else (upper - lower) / (2 * NORMAL_95)
+    slope = 1 / float(jax.grad(axis.current_for)(NOISE_SHARE * axis.fastest(place), place))
+    dead_time_s = float(axis.dead_time_samples) * axis.step_s
+    return slope * width * (dead_time_s + axis.lags[0] + SMOOTHING_S)
 
 
 def _trial_runs(
@@ -215,13 +246,15 @@ def _trial_runs(
     hitches = drawn_hitches(controller, model, load, TRIAL_DRAWS, seed)
     if hitches is None:
         raise InputError("model: its parameters have no standard errors")
-    middle = float(np.mean([place for _, place in operating_points(model.channels[DIRECTIONS[0]])]))
-    time_s = np.arange(0.0, TRIAL_S, model.step_s)
+    places = [place for _, place in operating_points(model.channels[DIRECTIONS[0]])]
+    middle, travel = float(np.mean(places)), TRIAL_SHARE * float(np.ptp(places) / np.ptp(STROKE_SHARES))
+    slowest = min(float(axis.fastest(jnp.asarray(middle))) for axis in controller.axes)
+    ramp_s = max(TRIAL_RAMP_S, 2 * travel / slowest)
+    time_s = np.arange(0.0, TRIAL_START_S + ramp_s + TRIAL_SETTLING_S, model.step_s)
     moving_s = time_s - TRIAL_START_S
-    ways = [
-        *(np.where(moving_s < 0, 0.0, step_mm) for step_mm in TRIAL_STEPS_MM),
-        *(speed_mm_s * np.clip(moving_s, 0.0, TRIAL_RAMP_S) for speed_mm_s in TRIAL_RAMPS_MM_S),
-    ]
+    step = np.where(moving_s < 0, 0.0, travel)
+    ramp = travel * np.clip(moving_s / ramp_s, 0.0, 1.0)
+    ways = [step, -step, ramp, -ramp]
     found = []
     for number, way in enumerate(ways):
         target = middle + way
@@ -231,19 +264,15 @@ def _trial_runs(
 
 
 def check_tunable(model: Hitch) -> None:
-    """Raise unless a model has the units, the clock, the directions and the structures of a hitch.
+    """Raise unless a model has the clock, the directions and the structures of a hitch.
 
     Raises:
-        InputError: the model has other units or another clock, or lacks a direction or an integrator.
+        InputError: the model has another clock, or lacks a direction or an integrator.
     """
     checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
     missing = [direction for direction in DIRECTIONS if direction not in model.channels]
     if missing:
         raise InputError(f"model: has no {missing[0]} channel; a position controller needs both directions")
-    units = {model.units[DISPLACEMENT]: "mm", **{model.units[COMMAND[d]]: "A" for d in DIRECTIONS}}
-    for unit, required in units.items():
-        if unit != required:
-            raise InputError(f"model: its unit is {unit}, expected {required}: mm and A of a hitch's valves")
     if not np.isclose(model.step_s, 0.01):
         raise InputError(f"model: its sampling time is {model.step_s:g} s, expected 0.01 s")
     for direction, channel in model.channels.items():

@@ -11,8 +11,8 @@ from jaxtyping import Float
 from hitchid._support.storage import write_files
 from hitchid.control import ControllerFile, HitchController
 from hitchid.control.axis import REACHABLE, Axis
-from hitchid.control.controller import SMOOTHING_S, TARGET_SPEED_S, TRACKING_MM_S
-from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT
+from hitchid.control.controller import REST_S, RESTLESS, SMOOTHING_S, STILL_SHARE, TARGET_SPEED_S
+from hitchid.data.record import DIRECTIONS
 from hitchid.errors import InputError
 from hitchid.export.c_templates import CTemplates, Field, Precision, Typed, c_templates, valve_fields
 from hitchid.export.compiler import Compiler
@@ -25,7 +25,7 @@ from hitchid.structures import opening_command
 SAMPLES = 3000  # of the run that the code must repeat, 30 s; chosen: some ten targets
 TARGET_S = (0.5, 4.0)  # shortest and longest time of a target, s
 MISSING = 0.002  # share of samples where the sensor begins to be lost, for a tenth of a second
-NOISE_MM = 0.01
+NOISE_SHARE = 1e-4  # of the range of displacement: standard deviation of the noise; chosen
 STROKE_SHARE = 0.4  # of the range of displacement, half the distance of the farthest targets
 # Of the largest current: rounding of the curves, which a division by the time squared amplifies, see `_step`.
 TOLERANCES: dict[Precision, float] = {"double": 1e-7, "mixed": 1e-7, "single": 1e-2}
@@ -36,9 +36,9 @@ class ControllerRun(NamedTuple):
     """A run of a controller in closed loop with its model.
 
     Attributes:
-        start: displacement before, mm.
-        inputs: target and measured displacement, NaN where there is none, mm, shape [N, 2].
-        currents: lifting and lowering, A, shape [N, 2].
+        start: displacement before.
+        inputs: target and measured displacement, NaN where there is none, shape [N, 2].
+        currents: lifting and lowering, shape [N, 2].
     """
 
     start: float
@@ -61,7 +61,9 @@ def controller_files(
             f"{model.provenance.digest[:12]}; tune one for this model"
         )
     name = f"{name}_controller"
-    templates, more = controller_templates(content.controller, name, precision, content.digest)
+    templates, more = controller_templates(
+        content.controller, name, precision, content.digest, dict(content.units)
+    )
     files = {
         f"{name}.h": templates.render("controller.h", **more).encode(),
         f"{name}.c": templates.render("controller.c", **more).encode(),
@@ -76,7 +78,7 @@ def controller_files(
         program = folder / "replay"
         compiler.compile([folder / f"{name}.c", folder / "replay.c"], program)
         rows = run_replay([str(program)], np.array([len(run.inputs), run.start]), run.inputs, folder)
-    largest = max(axis.largest_a for axis in content.controller.axes)
+    largest = max(axis.largest_command for axis in content.controller.axes)
     differences = np.max(np.abs(rows[:, :2] - run.currents), axis=1) / largest
     share = float(np.mean(~(differences <= TOLERANCES[precision])))
     if share > HOLDING_SHARE:
@@ -88,7 +90,7 @@ def controller_files(
 
 
 def controller_templates(
-    controller: HitchController, name: str, precision: Precision, digest: str
+    controller: HitchController, name: str, precision: Precision, digest: str, units: dict[str, str]
 ) -> tuple[CTemplates, dict[str, Any]]:
     """Return the templates of a controller, and what they name beside the numbers of its two models."""
     channels = tuple(
@@ -106,14 +108,13 @@ def controller_templates(
         )
         for number, (direction, axis) in enumerate(zip(DIRECTIONS, controller.axes, strict=True))
     )
-    units = {DISPLACEMENT: "mm", **{COMMAND[direction]: "A" for direction in DIRECTIONS}}
     constants = ModelConstants(channels, controller.step_s, 0.0, None, units, (), (), False, digest)
     step_s = controller.step_s
     axes = [_axis(controller, number) for number in range(len(channels))]
     owned = {
         channel.name: [
             *valve_fields(channel),
-            Field("increments", "real", (len(axis["shares"]),), "mm, of the last samples"),
+            Field("increments", "real", (len(axis["shares"]),), "travel of the last samples"),
         ]
         for channel, axis in zip(channels, axes, strict=True)
     }
@@ -127,10 +128,12 @@ def controller_templates(
         "speed_share": float(controller.speed_share),
         "target_share": step_s / TARGET_SPEED_S,
         "smoothing_share": step_s / SMOOTHING_S,
-        "tracking": TRACKING_MM_S,
-        "inner": float(controller.hold.inner_mm),
-        "outer": float(controller.hold.outer_mm),
-        "most_rise": float(controller.rate_a_s) * step_s,
+        "still_share": STILL_SHARE,
+        "rest_s": REST_S,
+        "restless": RESTLESS,
+        "inner": float(controller.hold.inner),
+        "outer": float(controller.hold.outer),
+        "most_rise": float(controller.rate) * step_s,
         "reachable": REACHABLE,
     }
     return c_templates(constants, name, precision), more
@@ -142,13 +145,13 @@ def controller_run(controller: HitchController, model: Hitch, *, seed: int = 0) 
     ranges = [channel.operating_range.displacement for channel in model.channels.values()]
     low = min(float(each.lowest) for each in ranges)
     high = max(float(each.highest) for each in ranges)
-    middle, reach = (0.5 * (low + high), STROKE_SHARE * (high - low)) if high - low < 1e6 else (100.0, 30.0)
-    targets = _targets(middle, reach, controller.step_s, rng)
+    middle, width = (0.5 * (low + high), high - low) if high - low < 1e6 else (100.0, 75.0)
+    targets = _targets(middle, STROKE_SHARE * width, controller.step_s, rng)
     lost = np.convolve(rng.random(SAMPLES) < MISSING, np.ones(round(0.1 / controller.step_s)))[:SAMPLES] > 0
     state, plant = controller.initial_state(middle), model.init_state(middle)
     displacement, inputs, currents = middle, [], []
     for target, is_lost in zip(targets, lost, strict=True):
-        measured = np.nan if is_lost else displacement + NOISE_MM * rng.standard_normal()
+        measured = np.nan if is_lost else displacement + NOISE_SHARE * width * rng.standard_normal()
         state, current = controller.step(state, float(target), float(measured))
         plant, after = model.step(plant, np.asarray(current))
         displacement = float(after)
@@ -174,14 +177,15 @@ def _targets(middle: float, reach: float, step_s: float, rng: np.random.Generato
 
 def _fields() -> Sequence[Field]:
     return (
-        Field("reference", "real", (), "mm, shaped"),
-        Field("reference_speed", "real", (), "mm/s"),
-        Field("integral", "real", (), "mm/s, speed that the integral part asks for"),
-        Field("smoothed", "real", (), "mm, predicted position without most of its noise"),
-        Field("measured", "real", (), "mm, last valid"),
-        Field("target", "real", (), "mm, last valid"),
-        Field("target_speed", "real", (), "mm/s, of a moving target"),
-        Field("currents", "real", (2,), "A, last"),
+        Field("reference", "real", (), "shaped"),
+        Field("reference_speed", "real", (), "its speed"),
+        Field("integral", "real", (), "speed that the integral part asks for"),
+        Field("rest", "real", (), "s, since a held hitch was last moved back to its target"),
+        Field("smoothed", "real", (), "predicted position without most of its noise"),
+        Field("measured", "real", (), "last valid"),
+        Field("target", "real", (), "last valid"),
+        Field("target_speed", "real", (), "of a moving target"),
+        Field("currents", "real", (2,), "last"),
         Field("holding", "int", (), "whether the hitch is held with closed valves"),
         Field("lost", "int", (), "whether the last measurement was missing"),
     )
@@ -190,18 +194,19 @@ def _fields() -> Sequence[Field]:
 def _axis(controller: HitchController, number: int) -> dict[str, Any]:
     """Return what the templates name of one direction."""
     axis: Axis = controller.axes[number]
-    gains = controller.gains[number]
+    gains, step_s = controller.gains[number], controller.step_s
     samples = float(axis.dead_time_samples)
     return {
         "gain": float(axis.model.benchmark.gain),
-        "largest": axis.largest_a,
-        "largest_effective": max(axis.largest_a - float(axis.model.dead_zone), 0.0),
+        "largest": axis.largest_command,
+        "largest_effective": max(axis.largest_command - float(axis.model.dead_zone), 0.0),
         "opening": float(opening_command(axis.model.benchmark, axis.model.dead_zone)),
         "shares": tuple(float(np.clip(samples - index, 0.0, 1.0)) for index in range(axis.buffer)),
-        "dead_time_s": samples * controller.step_s,
-        "acceleration": float(controller.acceleration[number]),
+        "dead_time_s": samples * step_s,
+        "deceleration": float(controller.deceleration[number]),
+        "rise_share": step_s / max(float(controller.lags_s[number]), step_s),
         "lag_s": float(controller.lags_s[number]),
-        "crossing": float(controller.crossing_mm_s[number]),
+        "crossing": float(controller.crossing_speed[number]),
         "proportional": float(gains.proportional),
         "integral": float(gains.integral),
         "speed": float(gains.speed),

@@ -9,9 +9,7 @@ from hitchid.control import PositionController
 from hitchid.errors import InputError
 from hitchid.hmi.limits import Limits
 from hitchid.hmi.program import Program, Step
-from hitchid.hmi.source import DISPLACEMENT, REQUIRED, is_same_sampling_time
-
-UNITS = dict(zip(REQUIRED, ("A", "A", "mm"), strict=True))  # of every controller
+from hitchid.hmi.source import is_same_sampling_time
 
 
 @dataclass
@@ -21,7 +19,9 @@ class Target:
     displacement: float
 
 
-def check_clock_and_units(controller_step_s: float, step_s: float, units: Mapping[str, str]) -> None:
+def check_clock_and_units(
+    controller_step_s: float, controller_units: Mapping[str, str], step_s: float, units: Mapping[str, str]
+) -> None:
     """Check that a controller fits the sampling time, s, and the units of a source.
 
     Raises:
@@ -32,10 +32,9 @@ def check_clock_and_units(controller_step_s: float, step_s: float, units: Mappin
             f"controller: has a sampling time of {controller_step_s:g} s, the source of {step_s:g} s; "
             "tune a controller for that of the source"
         )
-    for name, unit in UNITS.items():
+    for name, unit in controller_units.items():
         if units[name] != unit:
-            kind = "displacement" if name == DISPLACEMENT else "commands"
-            raise InputError(f"controller: expected {kind} in {unit}, the source has {units[name]}")
+            raise InputError(f"controller: expected {name} in {unit}, the source has {units[name]}")
 
 
 def drive(
@@ -50,7 +49,7 @@ def drive(
     Args:
         controller: tuned.
         log: name of its log.
-        displacement: now, mm.
+        displacement: now.
         target: read at each sample.
         limits: of travel; the target is kept inside.
     """

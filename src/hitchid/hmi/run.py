@@ -139,10 +139,10 @@ class Run:
         plan, displacement = self.plan, self.target.displacement
         if isinstance(plan, plans.DrivePlan):
             _check_free(root, f"{project.DRIVES}/{plan.name}.csv")
-            controller = load_controller(project.file_inside(root, plan.controller)).controller
-            check_clock_and_units(controller.step_s, step_s, units)
+            content = load_controller(project.file_inside(root, plan.controller))
+            check_clock_and_units(content.controller.step_s, content.units, step_s, units)
             return project.DRIVES, drive(
-                cast(PositionController, controller), plan.name, displacement, self.target, limits
+                cast(PositionController, content.controller), plan.name, displacement, self.target, limits
             )
         if isinstance(plan, plans.FilePlan):
             folder = f"{project.CAMPAIGNS}/{plan.campaign or plan.name}"

@@ -2,9 +2,12 @@
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from hitchid._support.data_table import DataTable
 from hitchid.control import Drive, Kind, Scenario
 from hitchid.control.drive import BASELINE, TESTED
+from hitchid.control.pid import COMPENSATED
 from hitchid.report import numbers, sections
 from hitchid.report.document import (
     Document,
@@ -27,15 +30,7 @@ MARGIN_ROWS = {
     "sensitivity": ("Ms", ""),
     "disk": ("disk margin", ""),
 }
-HEADER = (
-    "scenario",
-    "IAE / mm·s",
-    "RMSE / mm",
-    "overshoot / mm",
-    "settling / s",
-    "final error / mm",
-    "valve actions in 10 s",
-)
+HELD_ACTIONS = 1.0  # valve actions in 10 s that a held hitch may cost
 
 
 def drive_report(
@@ -51,7 +46,7 @@ def drive_report(
 
     Args:
         result: of `drive`.
-        rig: name of the bench.
+        rig: name of the bench or plant.
         margins: direction to the margins of the controller file.
         acceptance: result of the acceptance limits; None without limits.
         notices: warnings.
@@ -60,9 +55,9 @@ def drive_report(
     metrics = result.metrics
     loops = numbers.count(result.draws, "loop")
     return Document(
-        title="Closed loops on the virtual bench",
-        subtitle=f"bench {rig}; {loops} of each scenario, with drawn load and noise",
-        verdict=_verdict(result, acceptance),
+        title="Closed loops",
+        subtitle=f"{rig}; {loops} of each scenario, with drawn load and noise",
+        verdict=drive_verdict(result, acceptance),
         notices=tuple(map(sentence, notices)),
         sections=(
             *([] if acceptance is None else [sections.limits(acceptance)]),
@@ -81,9 +76,9 @@ def drive_report(
 
 EXPLANATION = (
     "Every figure is the worst of 95 % of the loops, the IAE their mean. A step has settled when the "
-    "displacement stays within 2 mm (5 mm step: 1 mm) of its end; the least time is that of the bench at the "
-    "largest current of the identification tests. The final error is the distance of the mean "
-    "measured displacement of the last second to the target."
+    "displacement stays within 0.8 % of the stroke (smallest step: 0.4 %) of its end; the least "
+    "time is that of the bench at the largest current of the identification tests. The final error is the "
+    "distance of the mean measured displacement of the last second to the target."
 )
 MARGINS = (
     "Margins that 95 % of the models with drawn parameters keep at nine operating points, as written by "
@@ -91,38 +86,94 @@ MARGINS = (
 )
 
 
-def _verdict(result: Drive, acceptance: Acceptance | None) -> tuple[Finding, ...]:
-    found = []
+def drive_verdict(result: Drive, acceptance: Acceptance | None = None) -> tuple[Finding, ...]:
+    """Return what the tables of the report mean, the worst first.
+
+    Bad is a limit that failed, a loop that diverged, both valves on, and a step that does not settle or ends
+    outside its tolerance. A caution is a step with a larger IAE than SIMC PI with its dead zone compensated,
+    a held hitch with more than one valve action in ten seconds, and a bench outside the predicted band.
+    """
+    own, rival = result.figures[TESTED], result.figures[COMPENSATED]
+    findings = []
     if acceptance is not None:
         failed = [check.name for check in acceptance.checks if not check.passed]
         text = f"{len(failed)} of {len(acceptance.checks)} limits failed: {', '.join(failed)}."
         passed = f"All {len(acceptance.checks)} limits are met."
-        found.append(Finding(Rating.BAD, text) if failed else Finding(Rating.GOOD, passed))
-    own = result.figures[TESTED]
+        findings.append(Finding(Rating.BAD, text) if failed else Finding(Rating.GOOD, passed))
     diverged = sum(each.diverged for each in own.values())
     both = sum(each.both_valves_samples for each in own.values())
-    ratio = result.iae_ratios["all"]
-    found += [
+    findings += [
         Finding(Rating.BAD if diverged else Rating.GOOD, f"{diverged} loops diverged."),
         Finding(Rating.BAD if both else Rating.GOOD, f"Both valves were on in {both} samples."),
+    ]
+    steps = {name: scenario for name, scenario in result.scenarios.items() if scenario.amplitude_mm}
+    restless = [name for name in steps if own[name].settling_s == np.inf]
+    off = {
+        name: own[name].final_error_mm
+        for name, scenario in steps.items()
+        if not own[name].final_error_mm <= scenario.tolerance
+    }
+    if restless:
+        findings.append(Finding(Rating.BAD, f"Never settled: {'; '.join(restless)}."))
+    if off:
+        worst = max(off, key=lambda name: off[name])
+        text = f"{numbers.count(len(off), 'step')} of {len(steps)} end outside the tolerance, the farthest"
+        findings.append(Finding(Rating.BAD, f"{text} {off[worst]:.1f} {result.unit} off: {worst}."))
+    if not restless and not off:
+        findings.append(Finding(Rating.GOOD, f"All {len(steps)} steps settle and end within the tolerance."))
+    ratios = {
+        name: own[name].iae_mm_s / rival[name].iae_mm_s
+        for name, scenario in steps.items()
+        if scenario.kind is Kind.STEP
+    }
+    slower = {name: ratio for name, ratio in ratios.items() if not ratio <= 1}
+    if slower:
+        worst = max(slower, key=lambda name: slower[name])
+        text = (
+            f"The IAE of {len(slower)} of {len(ratios)} steps is larger than that of {COMPENSATED}, the most"
+        )
+        findings.append(Finding(Rating.CAUTION, f"{text} in {worst}: {slower[worst]:.2f} times."))
+    elif ratios:
+        text = f"The IAE of each step is at most {max(ratios.values()):.2f} times that of {COMPENSATED}."
+        findings.append(Finding(Rating.GOOD, text))
+    for name, scenario in result.scenarios.items():
+        if scenario.kind is Kind.HOLD:
+            actions = own[name].valve_actions_per_10_s
+            rating = Rating.GOOD if actions <= HELD_ACTIONS else Rating.CAUTION
+            findings.append(Finding(rating, f"A held hitch costs {actions:.1f} valve actions in 10 s."))
+    ratio = result.iae_ratios["all"]
+    findings.append(
         Finding(
             Rating.GOOD if ratio < 1 else Rating.CAUTION,
             f"The IAE is {ratio:.2f} times that of {BASELINE}, mean of steps, ramps and sine.",
-        ),
-    ]
+        )
+    )
     inside = result.inside_band
     if inside:
         share = sum(inside.values()) / len(inside)
         text = f"{100 * share:.0f} % of the loops are inside the band that the identified model predicts."
-        found.append(Finding(Rating.GOOD if share >= 0.85 else Rating.CAUTION, text))
-    return tuple(found)
+        findings.append(Finding(Rating.GOOD if share >= 0.85 else Rating.CAUTION, text))
+    order = (Rating.BAD, Rating.CAUTION, Rating.GOOD)
+    return tuple(sorted(findings, key=lambda finding: order.index(finding.level)))
 
 
 def _figure_table(result: Drive, controller: str) -> Table:
     return Table(
         f"Figures of the {controller}" if controller == TESTED else controller,
-        HEADER,
+        _header(result.unit),
         _rows(result, controller),
+    )
+
+
+def _header(unit: str) -> tuple[str, ...]:
+    return (
+        "scenario",
+        f"IAE / {unit}·s",
+        f"RMSE / {unit}",
+        f"overshoot / {unit}",
+        "settling / s",
+        f"final error / {unit}",
+        "valve actions in 10 s",
     )
 
 
@@ -156,7 +207,7 @@ def _comparison(result: Drive) -> Table:
         (scenario, *(f"{result.figures[name][scenario].iae_mm_s:.2f}" for name in names))
         for scenario in result.scenarios
     )
-    return Table("IAE in mm·s, mean of the loops", ("scenario", *names), rows)
+    return Table(f"IAE in {result.unit}·s, mean of the loops", ("scenario", *names), rows)
 
 
 def _ratios(result: Drive) -> Table:
@@ -182,7 +233,7 @@ def _pictures(result: Drive) -> list[Picture]:
 def _picture(result: Drive, name: str, scenario: Scenario) -> Picture:
     loops, baseline = result.loops[TESTED][name], result.loops[BASELINE][name]
     band = result.bands.get(name)
-    beneath = "" if scenario.kind is not Kind.STEP else " The error axis ends at ±3 mm."
+    beneath = "" if scenario.kind is not Kind.STEP else " The error axis ends at 1.5 tolerances."
     return Picture(
         name.replace(" ", "-")
         .replace(",", "")
@@ -190,7 +241,9 @@ def _picture(result: Drive, name: str, scenario: Scenario) -> Picture:
         .replace("°", "")
         .replace("+", "plus-")
         .replace("--", "-minus-"),
-        closed_loop.closed_loop(scenario, loops, baseline, band, BASELINE),
+        closed_loop.closed_loop(
+            scenario, loops, baseline, band, BASELINE, (result.unit, result.command_unit)
+        ),
         f"{name}: displacement, error and currents of the first loop.{beneath}",
         f"Displacement, its error and the currents over time, {name}.",
         data={
@@ -206,7 +259,8 @@ def _picture(result: Drive, name: str, scenario: Scenario) -> Picture:
 
 def _summary(result: Drive) -> Table:
     rows = tuple((row[0], row[2], row[3], row[4], row[5]) for row in _rows(result, TESTED))
-    return Table("closed loops", (HEADER[0], *HEADER[2:6]), rows)
+    header = _header(result.unit)
+    return Table("closed loops", (header[0], *header[2:6]), rows)
 
 
 def _data_table(result: Drive, controller: str) -> DataTable:

@@ -81,7 +81,7 @@ def _gain_table(result: Tuning) -> Table:
 
 def _trial_table(result: Tuning) -> Table:
     rows = tuple((method, f"{error:.2f}") for method, error in result.trials.items())
-    title = "IAE on drawn models, geometric mean of steps of 20 mm and ramps of 8 mm/s, mm·s"
+    title = f"IAE on drawn models, geometric mean of steps and ramps, {result.units['displacement']}·s"
     return Table(title, ("method", "mean"), rows)
 
 
@@ -108,7 +108,7 @@ def _pictures(result: Tuning) -> list[Picture]:
         ),
         Picture(
             "steps",
-            open_loop.step_fan(result.steps),
+            open_loop.step_fan(result.steps, result.units["displacement"]),
             "Steps on models with drawn parameters, loads and sensor noise.",
             "Measured displacement of steps up and down on drawn models.",
         ),

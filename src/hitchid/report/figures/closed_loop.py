@@ -13,7 +13,12 @@ SHOWN = 20  # loops that are drawn; chosen
 
 @styled
 def closed_loop(
-    scenario: Scenario, loops: ClosedLoops, baseline: ClosedLoops, band: Band | None, baseline_name: str
+    scenario: Scenario,
+    loops: ClosedLoops,
+    baseline: ClosedLoops,
+    band: Band | None,
+    baseline_name: str,
+    units: tuple[str, str],
 ) -> Figure:
     """Return displacement with the target, its error, and the currents of one loop, over time."""
     figure = Figure(figsize=(PAGE_IN, HEIGHT_IN))
@@ -61,12 +66,13 @@ def closed_loop(
     error.axhline(0.0, color=FAINT, linewidth=0.6)
     beyond = np.abs(loops.displacement_mm[:SHOWN, scenario.begin :] - target[scenario.begin :])
     if scenario.amplitude_mm:
-        error.set_ylim(-3.0, 3.0)
+        error.set_ylim(-1.5 * scenario.tolerance, 1.5 * scenario.tolerance)
     else:
-        error.set_ylim(-1.3 * float(beyond.max()), 1.3 * float(beyond.max()))
-    displacement.set_ylabel("displacement / mm")
-    error.set_ylabel("error / mm")
-    current.set_ylabel("current / A")
+        widest = max(1.3 * float(beyond.max()), 0.1 * scenario.tolerance)
+        error.set_ylim(-widest, widest)
+    displacement.set_ylabel(f"displacement / {units[0]}")
+    error.set_ylabel(f"error / {units[0]}")
+    current.set_ylabel(f"command / {units[1]}")
     current.set_xlabel("time / s")
     legend_above(figure, displacement, error, current, columns=6)
     figure.align_ylabels()

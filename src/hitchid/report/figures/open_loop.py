@@ -77,14 +77,14 @@ def sensitivity(loops: Mapping[str, OpenLoop], largest: float) -> Figure:
 
 
 @styled
-def step_fan(steps: Sequence[TrialRun]) -> Figure:
+def step_fan(steps: Sequence[TrialRun], unit: str) -> Figure:
     """Return steps of the controller on models with drawn parameters, loads and noise."""
     figure = Figure(figsize=(PAGE_IN, 0.8 * HEIGHT_IN))
     for axes, step in zip(figure.subplots(1, len(steps), squeeze=False)[0], steps, strict=True):
-        axes.plot(step.time_s, step.measured_mm.T, color=COLOURS["greybox"], linewidth=0.5)
-        axes.plot(step.time_s, step.target_mm, color=INK, linewidth=0.9, label="target")
+        axes.plot(step.time_s, step.measured.T, color=COLOURS["greybox"], linewidth=0.5)
+        axes.plot(step.time_s, step.target, color=INK, linewidth=0.9, label="target")
         axes.set_xlabel("time / s")
-        axes.set_ylabel("measured displacement / mm")
+        axes.set_ylabel(f"measured displacement / {unit}")
     return figure
 
 

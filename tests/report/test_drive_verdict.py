@@ -1,0 +1,80 @@
+"""The verdict of a drive says what its tables say, the worst first."""
+
+import re
+
+import numpy as np
+import pytest
+
+from hitchid.control import Drive, Figures
+from hitchid.control.drive import BASELINE, TESTED
+from hitchid.control.pid import COMPENSATED
+from hitchid.control.scenarios import scenarios
+from hitchid.report.document import Rating
+from hitchid.report.drive_report import drive_verdict
+from hitchid.rig import load_rig
+
+ORDER = (Rating.BAD, Rating.CAUTION, Rating.GOOD)
+GOOD = Figures(10.0, 0.5, 0.1, 1.0, 0.1, 0.5, 0, None, 0)
+
+
+@pytest.fixture(scope="module")
+def by_name():
+    return {scenario.name: scenario for scenario in scenarios(load_rig("nominal"), 15.0)}
+
+
+def driven(by_name, own: dict, rival: dict) -> Drive:
+    return Drive(by_name, {}, {TESTED: own, BASELINE: rival, COMPENSATED: rival}, {}, {})
+
+
+def text_of(result: Drive) -> tuple[list[Rating], str]:
+    found = drive_verdict(result)
+    return [finding.level for finding in found], "\n".join(finding.sentence for finding in found)
+
+
+def test_a_drive_without_a_fault_has_no_other_line_than_good(by_name) -> None:
+    rival = {name: GOOD._replace(iae_mm_s=12.0) for name in by_name}
+    levels, text = text_of(driven(by_name, dict.fromkeys(by_name, GOOD), rival))
+    assert set(levels) == {Rating.GOOD}
+    assert "at most 0.83 times" in text
+
+
+@pytest.mark.parametrize("seed", range(50))
+def test_every_fault_of_a_table_is_a_line_of_the_verdict(by_name, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    own = {
+        name: Figures(
+            iae_mm_s=float(rng.uniform(7, 12)),
+            rmse_mm=1.0,
+            overshoot_mm=0.1,
+            settling_s=float(rng.choice([1.0, np.inf], p=[0.9, 0.1])),
+            final_error_mm=float(rng.choice([0.5, 9.0], p=[0.9, 0.1])),
+            valve_actions_per_10_s=float(rng.choice([0.4, 152.0])),
+            both_valves_samples=int(rng.choice([0, 3], p=[0.97, 0.03])),
+            samples_until_closed=None,
+            diverged=int(rng.choice([0, 1], p=[0.97, 0.03])),
+        )
+        for name in by_name
+    }
+    levels, text = text_of(driven(by_name, own, dict.fromkeys(by_name, GOOD)))
+    assert levels == sorted(levels, key=ORDER.index)
+    steps = {name: scenario for name, scenario in by_name.items() if scenario.amplitude_mm}
+    for name in steps:
+        assert (f"settled: {name}" in text or f"; {name}" in text) == np.isinf(own[name].settling_s)
+    off = [own[n].final_error_mm for n, s in steps.items() if own[n].final_error_mm > s.tolerance]
+    assert (f"{max(off):.1f} mm off" in text) if off else ("mm off" not in text)
+    slower = [
+        own[n].iae_mm_s / 10 for n, s in steps.items() if s.kind.value == "step" and own[n].iae_mm_s > 10
+    ]
+    assert (
+        (f"{max(slower):.2f} times." in text)
+        if slower
+        else (f"larger than that of {COMPENSATED}" not in text)
+    )
+    assert f"{own['hold'].valve_actions_per_10_s:.1f} valve actions" in text
+    assert f"{sum(each.diverged for each in own.values())} loops diverged" in text
+    assert f"on in {sum(each.both_valves_samples for each in own.values())} samples" in text
+    faults = bool(off) or "Never settled" in text or re.search(r"[1-9]\d* loops diverged|on in [1-9]", text)
+    assert (levels[0] is Rating.BAD) == bool(faults)
+    assert (Rating.CAUTION in levels) == bool(
+        slower or own["hold"].valve_actions_per_10_s > 1 or "The IAE is 1." in text
+    )
