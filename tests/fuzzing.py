@@ -428,7 +428,8 @@ def _controller(place: Path) -> Files:
     model = made_up_model(shape=True)
     worst = Margins(*map(np.asarray, (7.5, 51.0, 0.21, 1.6, 0.9)))
     margins = {direction: DirectionMargins(worst, worst, 0.07) for direction in model.channels}
-    tuning = Tuning(made_up_controller(model), "PI", {"PI": 31.0}, margins, {"pressure": 125.0}, 200)
+    load, trials = {"pressure": 125.0}, {"PI": 31.0}
+    tuning = Tuning(made_up_controller(model), "PI", trials, margins, load, model.units, 200)
     save_controller(tuning, model, place / CONTROLLER, force=True)
     return {CONTROLLER: (place / CONTROLLER).read_bytes()}
 

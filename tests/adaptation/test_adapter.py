@@ -15,7 +15,10 @@ from hitchid.adaptation import AdaptationSettings, Adapter, Changes, Event, read
 from hitchid.adaptation.events import (
     CANDIDATE,
     CHANGE_DETECTED,
+    KINDS,
     LEARNED,
+    LONGEST_S,
+    MOST_STROKES,
     MOVED,
     PROMOTED,
     REFUSED,
@@ -401,7 +404,13 @@ FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
 @given(
-    st.tuples(st.text(), FINITE, st.integers(0), st.text(), st.text()),
+    st.tuples(
+        st.sampled_from(KINDS),
+        st.floats(0, LONGEST_S),
+        st.integers(0, MOST_STROKES),
+        st.text(),
+        st.text(),
+    ),
     st.tuples(FINITE, FINITE, FINITE),
     st.lists(st.integers(1)),
     st.dictionaries(st.text(), FINITE),

@@ -41,7 +41,7 @@ def campaign(record):
 def model():
     """Return a model with every part."""
     provenance = Provenance(
-        {"lifting": ("up-1",)}, seen=frozenset("ab"), settings={"search": "whale", "n": [1]}
+        {"lifting": ("up-1",)}, seen=frozenset("ab"), settings={"search": {"name": "whale", "n": [1]}}
     )
     whole = hitch(
         "integrator-second-order",
