@@ -18,7 +18,7 @@ from hitchid.model import Provenance, TwoModes
 from hitchid.model.provenance import DifferenceTest
 from hitchid.validation import Validation
 from hitchid.validation.results import Accuracy, ChannelResult, ModelFigures, RunFigures
-from report.reported import characteristics, horizons, known_estimates, predictions
+from report.reported import ESTIMATES, characteristics, horizons, known_estimates, predictions
 
 COPIES = [copy.copy, copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))]
 
@@ -53,8 +53,11 @@ def model():
         provenance=provenance,
     )
     whole = with_bands(whole, "lifting", "lowering")
+    estimates = known_estimates(*(each for each in ESTIMATES if each.name in ("gain", "natural_frequency")))
+    estimates = replace(estimates, correlation=((1.0, 0.3), (0.3, 1.0)))
+    speeds = replace(characteristics(), load="pressure")
     known = {
-        direction: replace(entry, benchmark=known_estimates(), characteristics=characteristics())
+        direction: replace(entry, benchmark=estimates, characteristics=speeds)
         for direction, entry in whole.uncertainty.items()
     }
     units = {**whole.units, "pressure": "bar"}
