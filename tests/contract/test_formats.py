@@ -90,19 +90,21 @@ def write_bus(path, columns):
     can = pytest.importorskip("can")
     path.with_name("bus.dbc").write_text(DOUBLES_ON_A_BUS)
     plain = path.with_name(path.name.lower().removesuffix(".gz"))
-    kind = can.BLFWriter if plain.suffix == ".blf" else can.ASCWriter
-    with kind(plain) as log:
+    kinds = {".blf": can.BLFWriter, ".trc": can.TRCWriter, ".log": can.CanutilsLogWriter}
+    with kinds.get(plain.suffix, can.ASCWriter)(plain) as log:
         for stamp_s, *values in zip(*columns.values(), strict=True):
             log(
                 can.Message(
                     timestamp=1.7e9 + stamp_s,
                     arbitration_id=291,
                     is_extended_id=False,
-                    is_fd=True,
+                    is_fd=plain.suffix != ".trc",
                     channel=0,
                     data=struct.pack("<3d", *values),
                 )
             )
+    if plain.suffix == ".trc":  # python-can writes no frame of CAN FD as one; its length code is 12
+        plain.write_text(plain.read_text().replace(" DT ", " FD ").replace(" -  24 ", " -  12 "))
     if path.name.lower().endswith(".gz"):
         path.write_bytes(gzip.compress(plain.read_bytes()))
         plain.unlink()
@@ -128,8 +130,11 @@ WRITERS = {
     ".asc": write_bus,
     ".asc.gz": write_bus,
     ".blf": write_bus,
+    ".trc": write_bus,
+    ".log": write_bus,
 }
-PLAIN_TEXT = {".csv", ".tsv", ".lvm", ".asc"}
+ON_A_BUS = tuple(ending for ending, writer in WRITERS.items() if writer is write_bus)
+PLAIN_TEXT = {".csv", ".tsv", ".lvm", ".asc", ".trc", ".log"}
 ENDINGS = [suffix for known in BUILT_IN for suffix in known.suffixes]
 every_ending = pytest.mark.parametrize("ending", ENDINGS)
 
@@ -154,7 +159,7 @@ def assert_whole(content, path, samples=SAMPLES):
         channel, sent = content.channels[name], TABLE[name][:samples]
         assert channel.values.dtype == np.float64
         # A signal of a bus has an offset, and -0.0 + 0 is 0.0.
-        sent = sent + 0.0 if format_of(path).suffixes[0] == ".asc" else sent
+        sent = sent + 0.0 if path.name.lower().endswith(ON_A_BUS) else sent
         assert channel.values.tobytes() == sent.tobytes(), name
         if "time_s" in content.channels:
             assert content.channels["time_s"].values.tobytes() == TABLE["time_s"][:samples].tobytes()
@@ -333,6 +338,8 @@ WAYS = {
     "netcdf": (".nc", write_netcdf3),
     "asc": (".asc", write_bus),
     "blf": (".blf", write_bus),
+    "trc": (".trc", write_bus),
+    "candump": (".log", write_bus),
 }
 
 

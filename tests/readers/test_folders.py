@@ -48,8 +48,9 @@ def databases(folder, signals=None):
 def test_logs_of_every_format_are_found_in_one_folder_sorted_by_name(logs):
     suffixes = [suffix for known in BUILT_IN for suffix in known.suffixes]
     for number, suffix in enumerate(reversed(suffixes)):
-        (logs / f"b{number:02d}{suffix.upper() if number % 2 else suffix}").touch()
-    for name in ("notes.txt", "campaign.toml", "bus.dbc", "b.mat.bak", "mat"):
+        content = "(0.010000) can0 123#00\n" if suffix == ".log" else ""  # any text may end in it
+        (logs / f"b{number:02d}{suffix.upper() if number % 2 else suffix}").write_text(content)
+    for name in ("notes.txt", "campaign.toml", "bus.dbc", "b.mat.bak", "mat", "server.log"):
         (logs / name).touch()
     found = [path.name for path in find_logs(logs)]
     assert found == sorted(found)

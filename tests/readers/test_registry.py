@@ -16,6 +16,18 @@ TAKEN = """
 from hitchid.readers import Format
 TAKEN = Format("another text", (".csv",), print)
 """
+OF_A_RIG = """
+import numpy as np
+from hitchid.readers import Content, Format, LogChannel
+
+def read(path, selection):
+    numbers = np.loadtxt(path, delimiter="|", skiprows=1)
+    names = ("time_s", "current_up_A", "current_down_A", "displacement_mm")
+    return Content(path, {name: LogChannel(column) for name, column in zip(names, numbers.T)})
+
+ALL = Format("rig", (".log",), read)
+OWN = Format("rig", (".log",), read, is_log=lambda path: path.read_text().startswith("RIG"))
+"""
 
 
 @pytest.fixture
@@ -69,3 +81,21 @@ def test_an_ending_has_one_format(install, tmp_path):
     install("taken = taken_pack:TAKEN", tmp_path)
     with pytest.raises(InputError, match=r"text and another text both read '\.csv'"):
         format_of(Path("log.csv"))
+
+
+@pytest.mark.parametrize("name", ["ALL", "OWN"])
+def test_a_registered_format_comes_before_another_one_with_its_ending(install, tmp_path, name):
+    """Formats of this package that share an ending leave what another package claims."""
+    (tmp_path / "rig_pack.py").write_text(OF_A_RIG)
+    install(f"rig = rig_pack:{name}", tmp_path)
+    (tmp_path / "logs").mkdir()
+    rows = "".join(f"{0.01 * k}|{0.5 * (k > 20)}|0|{max(0, k - 20)}\n" for k in range(100))
+    (tmp_path / "logs" / "lift.log").write_text("RIG 7\n" + rows)
+    (record,) = read(tmp_path / "logs").records
+    assert (record.name, record.signals["displacement"][-1]) == ("lift", 79)
+    (tmp_path / "bus.log").write_text("(0.010000) can0 123#00\n")
+    assert format_of(tmp_path / "bus.log").name == {"ALL": "rig", "OWN": "candump"}[name]
+    (tmp_path / "server.log").write_text("started\n")
+    if name == "OWN":
+        with pytest.raises(InputError, match=r"server\.log: is not a log in the format candump or rig; exp"):
+            format_of(tmp_path / "server.log")

@@ -25,7 +25,7 @@ class Format(NamedTuple):
         write: writes columns of equal length, name to numbers; None for a format that is only read.
         libraries: third-party modules that read it; such files are read in a process of their own.
         is_log: whether a file with one of the endings is a log of this format, for endings that others use
-            as well; None if the ending suffices.
+            as well; None for a format that has its endings to itself, or reads all that no other one claims.
     """
 
     name: str
@@ -49,7 +49,8 @@ BUILT_IN = (
     Format("matlab", mat.SUFFIXES, mat.read, None, ("scipy.io",)),
     Format("hdf5", hdf5.SUFFIXES, hdf5.read, None, ("h5py",)),
     Format("parquet", parquet.SUFFIXES, parquet.read, parquet.write_table, ("pyarrow.parquet",)),
-    Format("can", can.SUFFIXES, can.read, None, ("can", "cantools"), can.is_log),
+    Format("can", can.SUFFIXES, can.read, None, ("can", "cantools")),
+    Format("candump", can.CANDUMP_SUFFIXES, can.read, None, ("can", "cantools"), can.is_candump),
 )
 
 
@@ -63,11 +64,10 @@ def formats() -> Mapping[str, Format]:
     log_format = with_extensions(
         "hitchid.formats", BUILT_IN, kind=Format, name=lambda log_format: log_format.name
     )
-    count = Counter(suffix for log_format in log_format.values() for suffix in log_format.suffixes)
+    exclusive = {name: known.suffixes for name, known in log_format.items() if known.is_log is None}
+    count = Counter(suffix for suffixes in exclusive.values() for suffix in suffixes)
     for suffix in (suffix for suffix in count if count[suffix] > 1):
-        names = " and ".join(
-            name for name, known_format in log_format.items() if suffix in known_format.suffixes
-        )
+        names = " and ".join(name for name, suffixes in exclusive.items() if suffix in suffixes)
         raise InputError(
             f"hitchid.formats: {names} both read '{suffix}'; expected one format per file ending"
         )
@@ -75,32 +75,44 @@ def formats() -> Mapping[str, Format]:
 
 
 def known_format(path: Path) -> Format | None:
-    """Return the format of a file by its ending; None for an unknown ending or a file of another kind."""
+    """Return the format of a file by its ending; None for an unknown ending or a file of another kind.
+
+    Where several formats share an ending, those of other packages come first.
+    """
     name = path.name.lower()
-    log_format = next((known for known in formats().values() if name.endswith(known.suffixes)), None)
-    if log_format is None or log_format.is_log is None or not path.is_file():
-        return log_format
+    for log_format in reversed(formats().values()):
+        if name.endswith(log_format.suffixes) and _claims(log_format, path):
+            return log_format
+    return None
+
+
+def _claims(log_format: Format, path: Path) -> bool:
+    if log_format.is_log is None or not path.is_file():
+        return True
     try:
-        return log_format if log_format.is_log(path) else None
+        return log_format.is_log(path)
     except OSError:
-        return log_format  # its reader says why it cannot be read
+        return True  # its reader says why the file cannot be read
 
 
 def format_of(path: Path) -> Format:
     """Return the format of a file by its ending.
 
     Raises:
-        InputError: the ending is not known.
+        InputError: the ending is not known, or stands for a format that the file does not have.
     """
     log_format = known_format(path)
     if log_format is None:
-        raise InputError(f"{path}: the format is not known; expected a file ending in {known_suffixes()}")
+        others = [each.name for each in formats().values() if path.name.lower().endswith(each.suffixes)]
+        problem = f"is not a log in the format {' or '.join(others)}" if others else "the format is not known"
+        raise InputError(f"{path}: {problem}; expected a file ending in {known_suffixes()}")
     return log_format
 
 
 def known_suffixes() -> str:
     """Return the endings of all formats, separated by commas."""
-    return ", ".join(suffix for log_format in formats().values() for suffix in log_format.suffixes)
+    suffixes = (suffix for log_format in formats().values() for suffix in log_format.suffixes)
+    return ", ".join(dict.fromkeys(suffixes))
 
 
 def record_name(path: Path) -> str:

@@ -11,13 +11,15 @@ from hitchid.errors import LogError
 from hitchid.readers.content import ChannelSelection
 from hitchid.readers.formats.can.blf import inventory
 from hitchid.readers.formats.can.bus import read_bus as read_bus
-from hitchid.readers.formats.can.candump import candump_frames, is_candump
+from hitchid.readers.formats.can.candump import candump_frames
+from hitchid.readers.formats.can.candump import is_candump as is_candump
 from hitchid.readers.formats.can.mf4 import is_bus_log as is_bus_log
 from hitchid.readers.formats.can.mf4 import read_mf4 as read_mf4
 from hitchid.readers.formats.can.streams import Frame
 from hitchid.readers.formats.extra import as_log_errors, import_optional
 
-SUFFIXES = (".asc", ".asc.gz", ".blf", ".trc", ".log")
+SUFFIXES = (".asc", ".asc.gz", ".blf", ".trc")
+CANDUMP_SUFFIXES = (".log",)
 KIND = "a CAN log"
 
 
@@ -38,11 +40,6 @@ def read(path: Path, selection: ChannelSelection) -> Content:
     frames = readers.get(path.suffix.lower(), _read_asc)(path, library, notices)
     content = read_bus(frames, path, selection)
     return replace(content, notices=(*notices, *content.notices))
-
-
-def is_log(path: Path) -> bool:
-    """Return whether a file with one of the endings is a CAN log: `.log` of candump alone."""
-    return path.suffix.lower() != ".log" or is_candump(path)
 
 
 @dataclass

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from hitchid.readers.formats.can.streams import Frame
 
-LONGEST_LINE = 300  # characters; 64 bytes as text take 192
+LONGEST_LINE = 400  # characters; printed with their text, 64 bytes take 310
 HEAD_LINES = 20  # lines among which a log has its first frame (chosen)
 ERROR_FRAME = 0x20000000  # flag in the id; linux/can.h
 LINE = re.compile(
@@ -21,7 +21,8 @@ def is_candump(path: Path) -> bool:
     """Return whether one of the first lines of a file is a frame as candump writes it."""
     with path.open(encoding="latin-1") as stream:
         return any(
-            LINE.fullmatch(line) for line in islice(iter(lambda: stream.readline(200), ""), HEAD_LINES)
+            LINE.fullmatch(line)
+            for line in islice(iter(lambda: stream.readline(LONGEST_LINE), ""), HEAD_LINES)
         )
 
 
