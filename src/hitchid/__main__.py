@@ -18,6 +18,7 @@ EXIT_FAILURE = 1  # see `hitchid.cli.program`
 GC_THRESHOLD = 100_000  # new objects between collections; the default of 700 takes a tenth of a run
 ASCII_REPLACEMENTS = {
     "…": "...",
+    "─": "-",  # a rule below the header of a table
     "→": "->",
     "±": "+/-",
     "·": "*",

@@ -1,6 +1,7 @@
 """Where output goes: encodings that lack characters, and a device that is full, of the real program."""
 
 import os
+import re
 import subprocess
 import sys
 
@@ -13,12 +14,14 @@ def run(*arguments, **options):
     return subprocess.run([*PROGRAM, *map(str, arguments)], stderr=subprocess.PIPE, **options)  # noqa: S603
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
-def test_what_an_encoding_lacks_is_written_plainly(bench_folder, encoding):
+@pytest.mark.parametrize(("encoding", "ellipsis"), [("ascii", "..."), ("cp1252", "…")])
+def test_what_an_encoding_lacks_is_written_plainly(bench_folder, encoding, ellipsis):
     env = {**os.environ, "PYTHONIOENCODING": encoding}
     done = run("inspect", bench_folder, stdout=subprocess.PIPE, env=env)
     assert (done.returncode, done.stderr) == (0, b"")
-    assert ("0 ... " if encoding == "ascii" else "0 … ") in done.stdout.decode(encoding)
+    said = done.stdout.decode(encoding)
+    assert re.search(r"lifting .*\d (…|\.\.\.) \d+\.\d+ mm +lifting-01\n", said)[1] == ellipsis
+    assert "?" not in said
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no such device")

@@ -8,7 +8,6 @@ from unicodedata import category
 from hitchid._support.storage import canonical_json, digest
 from hitchid.errors import InputError
 from hitchid.fleet.store import Store, StoredFile
-from hitchid.readers.formats import known_format
 
 KEY_LENGTH = 16  # characters of a digest in the name of a file: 64 bits, no two of 10⁶ alike by chance
 UNNAMEABLE = (
@@ -58,6 +57,8 @@ def machines_of(store: Store) -> tuple[Machine, ...]:
         InputError: there is none, or a folder with logs has a name that a machine cannot have.
         StoreError: the store cannot be listed.
     """
+    from hitchid.readers.formats import known_format
+
     folders: dict[str, list[StoredFile]] = {name: [] for name in store.local_folders()}
     hidden_logs: set[str] = set()
     for file in store.files(hidden=True):
