@@ -183,13 +183,11 @@ def every_cell(column, text, rows=slice(1, None)):
 
 BAD_LOGS = {
     "a missing column": (cell(0, 3, "height_mm"), ["line 1", "'displacement_mm'", "height_mm"]),
-    "text in a number": (cell(5, 3, "n/a"), ["line 6", "'displacement_mm'", "number", "'n/a'"]),
-    "an empty cell": (cell(5, 1, ""), ["line 6", "'current_up_A'", "number", "empty cell"]),
-    "a stretch of nan": (
-        every_cell(3, "nan", slice(5, 25)),
-        ["line 6", "'displacement_mm'", "finite", "nan"],
+    "text in many numbers": (
+        every_cell(3, "4x2", slice(5, 9)),
+        ["line 6", "'displacement_mm'", "number", "'4x2'"],
     ),
-    "an infinite command": (cell(9, 1, "1e999"), ["line 10", "'current_up_A'", "finite", "inf"]),
+    "no number": (every_cell(3, "nan"), ["'displacement_mm'", "holds no numbers"]),
     "a constant displacement": (every_cell(3, "5.0"), ["constant", "5 mm", "check"]),
     "time that runs back": (cell(9, 0, "0.01"), ["line 10", "'time_s'", "must not decrease", "0.01 s"]),
     "time that stands still": (every_cell(0, "0.07"), ["line 3", "'time_s'", "time stamps are 0.07 s"]),
@@ -229,6 +227,46 @@ def test_inspect_shows_the_other_logs_and_says_which_is_bad(bad_log):
     assert result.err.startswith("fault: ")
     assert all(word in result.err for word in said)
     assert "lowering-03" in result.out
+
+
+HOLES = {
+    "text in a number": (cell(5, 3, "n/a"), "displacement", "1 of 250", "line 6", 250),
+    "an empty cell": (cell(5, 1, ""), "lifting_command", "1 of 250", "line 6", 250),
+    "an infinite command": (cell(9, 1, "1e999"), "lifting_command", "1 of 250", "line 10", 250),
+    # Without the four samples before it, fewer than a record has.
+    "a stretch of nan": (every_cell(3, "nan", slice(5, 25)), "displacement", "20 of 250", "line 6", 226),
+}
+
+
+@pytest.mark.parametrize(("edit", "signal", "missing", "first", "samples"), HOLES.values(), ids=HOLES.keys())
+def test_samples_without_a_number_are_named_and_no_other_is_lost(
+    logs, model, tmp_path, edit, signal, missing, first, samples
+):
+    path, out = logs / "lifting-02.csv", tmp_path / "out.csv"
+
+    def predicted():
+        result = hitchid("simulate", model, path, "--out", out, "--force")
+        assert result.code == 0
+        with out.open() as file:
+            cells = [row["displacement_predicted_mm"] for row in csv.DictReader(file)]
+        return np.array([float(cell or "nan") for cell in cells]), result.err
+
+    whole, said = predicted()
+    assert "left out" not in said
+    path.write_text("\n".join([*edit(path.read_text().splitlines()), ""]))
+    found = json.loads(hitchid("inspect", logs, "--strict", "--json").out)
+    (record,) = (each for each in found["records"] if each["name"] == "lifting-02")
+    assert record["samples"] == samples
+    (finding,) = (each for each in found["findings"] if each["check"] == "not measured")
+    assert (finding["level"], finding["records"], finding["signal"]) == ("warning", ["lifting-02"], signal)
+    assert f"{missing} samples are left out, the first in {first}: they hold no number" in finding["what"]
+    cells, said = predicted()
+    assert f"notice: {signal}: {missing} samples are left out, the first in {first}" in said
+    assert f"out.csv: {samples} samples" in said
+    assert np.count_nonzero(np.isfinite(cells)) == samples
+    if samples == 250:
+        # At rest the held command is the one that is missing, the displacement within its noise of 0.02 mm.
+        np.testing.assert_allclose(cells, whole, rtol=0, atol=0.1 if signal == "displacement" else 0)
 
 
 def test_inspect_leaves_a_bad_log_out_and_counts(logs):

@@ -105,7 +105,8 @@ def simulate_log(
     else:
         records = [_commands(record_name(log), table, model, settings.signals)]
     unit = records[0].unit
-    columns, notices = _predictions(model, table.time_s, records, initial, horizon, coverage)
+    columns, flags = _predictions(model, table.time_s, records, initial, horizon, coverage)
+    notices = [*dict.fromkeys(str(notice) for record in records for notice in record.notices), *flags]
     if measured is not None and initial.displacement is not None:
         notices = [
             f"'{measured.column}' is not used: the simulation starts from {initial.displacement:g} "
@@ -203,20 +204,20 @@ def _predictions(
     horizon: int | None,
     coverage: float | None,
 ) -> tuple[np.ndarray, list[str]]:
-    """Return prediction and band at each row of a log, NaN outside its records; and notices."""
-    columns, notices = np.full((1 if coverage is None else 3, time_s.size), np.nan), []
+    """Return prediction and band at each row of a log, NaN outside its records; and what a model notices."""
+    columns, flags = np.full((1 if coverage is None else 3, time_s.size), np.nan), []
     for record in records:
         if horizon is None:
             simulation = model.simulate(record, initial=initial.displacement, load=initial.load)
             values = [simulation.displacement, *(() if coverage is None else simulation.band(coverage))]
-            notices += simulation.flags
+            flags += simulation.flags
         else:
             band = () if coverage is None else model.band(record, horizon=horizon, coverage=coverage)
             values = [model.predict(record, horizon=horizon), *band]
         edge = record.step_s / 2
         inside = (time_s > record.time_s[0] - edge) & (time_s < record.time_s[-1] + edge)
         columns[:, inside] = [np.interp(time_s[inside], record.time_s, series) for series in values]
-    return columns, notices
+    return columns, flags
 
 
 def _as_text(table: LogTable, signals: SignalMap) -> tuple[list[str], list[list[str]]]:
