@@ -240,11 +240,12 @@ def test_its_representation_is_short_and_tells_flags():
     assert "3 runs of 240 samples" in repr(model.simulate(commands_of(), step_s=STEP_S, initial=[1, 2, 3]))
 
 
+NO_COMMANDS = "commands: expected a record, a DataFrame, the path of a log, columns, or an array"
 WRONG = {
-    "text": ("log.csv", {}, "commands: expected a record, columns, or an array"),
-    "no shape": (0.5, {}, "commands: expected a record, columns, or an array"),
+    "no such log": ("log.csv", {}, "log.csv: there is no such file or folder"),
+    "no shape": (0.5, {}, NO_COMMANDS),
     "three columns": (np.zeros((5, 3)), {}, r"commands: expected shape \[N, 2\].*got \(5, 3\)"),
-    "three dimensions": (np.zeros((5, 2, 1)), {}, "commands: expected a record, columns, or an array"),
+    "three dimensions": (np.zeros((5, 2, 1)), {}, NO_COMMANDS),
     "ragged": ([[1.0], [1.0, 2.0]], {}, "commands: expected numbers"),
     "complex": (np.zeros(5, dtype=complex), {}, "commands: expected"),
     "no samples": (np.zeros((0, 2)), {}, "commands: expected at least one sample"),
