@@ -1,6 +1,7 @@
 """A fleet is identified: equal models whoever works on them, nothing lost, nothing done twice."""
 
 import errno
+import gzip
 import json
 import multiprocessing
 import os
@@ -133,8 +134,8 @@ def test_bad_campaigns_are_rows_with_their_error_and_harm_no_other(logs, results
     mixed, own = shutil.copytree(logs, tmp_path / "logs"), shutil.copytree(results, tmp_path / "results")
     (mixed / "empty").mkdir()
     (mixed / "damaged").mkdir()
-    text = (logs / "tractor-0" / "lifting-01.csv").read_text()
-    (mixed / "damaged" / "lifting-01.csv").write_text(text[: len(text) // 3] + "\0\0\0")
+    packed = gzip.compress((logs / "tractor-0" / "lifting-01.csv").read_bytes())
+    (mixed / "damaged" / "lifting-01.csv.gz").write_bytes(packed[: len(packed) // 3])
     (mixed / "wrong").mkdir()
     (mixed / "wrong" / "notes.csv").write_text("who,when\nme,now\n")
     result = identify_fleet(str(mixed), str(own), settings=fleets.QUICK, runner=ONE)
