@@ -80,7 +80,7 @@ def known_format(path: Path) -> Format | None:
     Where several formats share an ending, those of other packages come first.
     """
     name = path.name.lower()
-    for log_format in reversed(formats().values()):
+    for log_format in reversed(tuple(formats().values())):
         if name.endswith(log_format.suffixes) and _claims(log_format, path):
             return log_format
     return None
