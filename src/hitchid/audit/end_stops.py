@@ -94,8 +94,9 @@ def find_end_stop(
             at_end & (drive.command >= least * (1 - 1e-9)) & (drive.command > most)
             for drive, at_end in zip(drives, standing_at, strict=True)
         ]
-        levels = np.concatenate([d.position[rows] for d, rows in zip(drives, standing, strict=True)])
-        if not levels.size:
+        # Each log counts once, however long it stands there.
+        levels = [np.median(d.position[rows]) for d, rows in zip(drives, standing, strict=True) if rows.any()]
+        if not levels:
             return None
         position = float(np.median(levels))
     else:
