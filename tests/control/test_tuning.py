@@ -4,15 +4,25 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import jax
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 import hitchid
 from hitchid.cli import app
-from hitchid.control import Tuning, limitation, load_controller, save_controller, tune
-from hitchid.control.direction_loops import MAX_SENSITIVITY, MIN_DEAD_TIMES, MIN_GAIN_DB, MIN_PHASE_DEG
+from hitchid.control import Tuning, direction_loops, limitation, load_controller, save_controller, tune
+from hitchid.control.direction_loops import (
+    MAX_SENSITIVITY,
+    MIN_DEAD_TIMES,
+    MIN_GAIN_DB,
+    MIN_PHASE_DEG,
+    DirectionLoops,
+)
+from hitchid.control.gain_design import pi_gains
 from hitchid.control.limits import check_drive, read_drive_limits
-from hitchid.control.tuning import check_tunable
+from hitchid.control.prediction import loads_of_channels
+from hitchid.control.tuning import LOWEST_RAD_S, check_tunable, fastest_gains
 from hitchid.errors import InputError, SettingsError
 from hitchid.identification import read_settings
 from hitchid.report import tune_report
@@ -62,8 +72,16 @@ def test_margins_are_those_that_were_asked_for(tuning: Tuning):
         assert margins.nominal.gain_db >= margins.worst.gain_db - 1e-9
 
 
-def test_the_bandwidth_is_the_largest_with_these_margins(tuning: Tuning):
-    for margins in tuning.margins.values():
+def test_the_bandwidth_is_the_largest_with_these_margins_that_the_noise_allows(model: hitchid.Hitch):
+    for direction, row in zip(("lifting", "lowering"), loads_of_channels(model, None), strict=True):
+        with jax.enable_x64(True):
+            loops = DirectionLoops.of(model, direction, row, draws=40, seed=0)
+            gains, capped = (
+                fastest_gains(own, pi_gains) for own in (replace(loops, noise_rad_s=np.inf), loops)
+            )
+            assert gains is not None
+            assert capped is not None
+            margins = loops.margins(gains)
         slack = [
             margins.worst.gain_db / MIN_GAIN_DB,
             margins.worst.phase_deg / MIN_PHASE_DEG,
@@ -71,11 +89,21 @@ def test_the_bandwidth_is_the_largest_with_these_margins(tuning: Tuning):
             margins.worst.delay_s / max(MIN_DEAD_TIMES * margins.dead_time_s, 1e-6),
         ]
         assert min(slack) < 1.05
+        expected = max(LOWEST_RAD_S, min(float(gains.proportional), loops.noise_rad_s))
+        assert float(capped.proportional) == pytest.approx(expected, rel=0.01)
 
 
-def test_what_limits_the_controller_is_what_its_margins_depend_on(model: hitchid.Hitch):
+def test_a_controller_that_noise_limits_says_so(model: hitchid.Hitch):
+    found = limitation(model, "lifting", draws=40)
+    assert found.limit == "noise"
+    assert found.worst < 0.95 * MAX_SENSITIVITY
+
+
+def test_what_limits_the_controller_is_what_its_margins_depend_on(model: hitchid.Hitch, monkeypatch):
+    monkeypatch.setattr(direction_loops, "NOISE_SHARE", 1.0)  # as with a twentieth of the noise
     found = limitation(model, "lifting", draws=40)
     assert found.direction == "lifting"
+    assert found.limit == "margins"
     assert found.worst == pytest.approx(MAX_SENSITIVITY, rel=0.05)
     assert all(0 <= share <= 1 for share in found.shares.values())
     assert list(found.shares.values()) == sorted(found.shares.values(), reverse=True)

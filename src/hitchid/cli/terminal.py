@@ -318,6 +318,12 @@ def show_limitation(found: "Limitation") -> None:
         f"identified parameters and {found.worst:.3f} for 95 % of the draws; of its variance is due to "
         f"{', '.join(most)}"
     )
+    if found.limit == "noise":
+        _print_wrapped(
+            f"the noise of the displacement, as identified, limits the controller to "
+            f"{found.bandwidth_rad_s:.3g} rad/s, not its margins: a sensor with less noise makes it faster, "
+            "or a model that fits better where the noise contains what it misses"
+        )
 
 
 def show_export(done: "Export") -> None:

@@ -1,7 +1,8 @@
-"""What limits a position controller: the parameter of which the tests leave open what its margins need."""
+"""What limits a position controller: a parameter that its margins depend on, or the noise of its sensor."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -13,12 +14,14 @@ from hitchid.control.controller import Gains
 from hitchid.control.direction_loops import SHARE, DirectionLoops
 from hitchid.control.gain_design import pi_gains
 from hitchid.control.prediction import loads_of_channels
-from hitchid.control.tuning import LOWEST_RAD_S, check_tunable, fastest_gains
+from hitchid.control.tuning import HIGHEST_RAD_S, LOWEST_RAD_S, check_tunable, fastest_gains, highest_rad_s
 from hitchid.data.record import DIRECTIONS
 from hitchid.errors import InputError
 from hitchid.model import Hitch
 from hitchid.model.loads import Load
 from hitchid.model.parameter_draws import DRAWS
+
+CAPPED = 0.99  # of the largest bandwidth that is searched; the search ends within a thousandth of it
 
 
 @short_repr
@@ -28,7 +31,10 @@ class Limitation:
 
     Attributes:
         direction: lifting or lowering.
-        bandwidth_rad_s: largest of PI control with all margins.
+        bandwidth_rad_s: largest of PI control with all margins, or that at the bound of `limit`.
+        limit: what ends the bandwidth: the `margins`; or before them the `noise` of the sensor, which asks
+            for a twentieth of the largest speed there, or the end of the `search` at 30 rad/s. Noise is as
+            identified, and contains what the model misses.
         nominal: Ms at the worst operating point with the identified parameters.
         worst: Ms that 95 % of the draws keep there.
         shares: parameter to the share of the variance of log Ms over draws that would vanish with this
@@ -37,6 +43,7 @@ class Limitation:
 
     direction: str
     bandwidth_rad_s: float
+    limit: Literal["margins", "noise", "search"]
     nominal: float
     worst: float
     shares: Mapping[str, float]
@@ -57,6 +64,8 @@ def limitation(
     seed: int = 0,
 ) -> Limitation:
     """Return what limits the controller in the direction where the parameters' spread costs Ms the most.
+
+    A direction that its margins limit comes before one that the noise of the sensor does.
 
     At the largest bandwidth of PI control that keeps its margins, log Ms of a draw is correlated with each of
     its parameters over all draws; the squared correlation is the share of its variance that goes with the
@@ -80,14 +89,18 @@ def limitation(
         for name, row in zip(DIRECTIONS, loads_of_channels(model, load), strict=True)
         if direction in (None, name)
     ]
-    return max(found, key=lambda each: each.worst / each.nominal)
+    return max(found, key=lambda each: (each.limit == "margins", each.worst / each.nominal))
 
 
 def _limitation(
     model: Hitch, direction: str, row: Float[np.ndarray, " c"], draws: int, seed: int
 ) -> Limitation:
     loops = DirectionLoops.of(model, direction, row, draws, seed)
-    gains = fastest_gains(loops, pi_gains) or pi_gains(LOWEST_RAD_S, loops.lags, loops.step_s)
+    fastest = fastest_gains(loops, pi_gains)
+    gains = fastest or pi_gains(LOWEST_RAD_S, loops.lags, loops.step_s)
+    limit = "noise" if loops.noise_rad_s < HIGHEST_RAD_S else "search"
+    if fastest is None or fastest.proportional < CAPPED * highest_rad_s(loops):
+        limit = "margins"
     sensitivity = _worst_sensitivity(loops, gains)
     names = [parameter.name for parameter in model.channels[direction].benchmark.parameters]
     logs = np.log(np.minimum(sensitivity[1:], np.finfo(float).max))
@@ -101,6 +114,7 @@ def _limitation(
     return Limitation(
         direction,
         float(gains.proportional),
+        limit,
         float(sensitivity[0]),
         float(np.quantile(sensitivity[1:], SHARE)),
         dict(sorted(shares.items(), key=lambda item: -item[1])),
