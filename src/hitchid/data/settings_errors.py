@@ -34,6 +34,7 @@ EXPECTED: Mapping[str, str] = MappingProxyType(
         "missing_argument": "a value",
         "model_attributes_type": "a table",
         "model_type": "a table",
+        "string_pattern_mismatch": "text like {pattern}",
         "string_type": "text in quotes",
         "too_long": "at most {max_length} entries",
         "too_short": "at least {min_length} entries",

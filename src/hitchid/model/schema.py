@@ -6,7 +6,7 @@ simulated, shown and exported; all else is refused where it is read, by key and 
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Annotated, Any, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 import numpy as np
 from pydantic import (
@@ -17,7 +17,7 @@ from pydantic import (
     model_validator,
 )
 
-from hitchid.data.record import COMMAND, DISPLACEMENT
+from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT
 from hitchid.data.resampling import SHORTEST_STEP_S
 from hitchid.data.settings_errors import describe
 from hitchid.data.signal_map import DIMENSIONS, Strict
@@ -59,7 +59,7 @@ LARGEST_FACTOR = 1e30  # of a band: where held-out tests hardly differ from the 
 WIDENED, WIDENED_LINEAR = 1000.0, 5.0
 ROUNDING = 1e-6  # by which a correlation may be beyond ±1
 
-Direction = Literal["lifting", "lowering"]
+Direction = Annotated[str, Field(pattern=rf"^({'|'.join(DIRECTIONS)})$")]
 Number = Annotated[float, Field(gt=-MAX_MAGNITUDE, lt=MAX_MAGNITUDE)]
 Size = Annotated[float, Field(ge=0, lt=MAX_MAGNITUDE)]
 Positive = Annotated[float, Field(ge=SMALLEST, lt=MAX_MAGNITUDE)]
