@@ -16,6 +16,8 @@ from hitchid.data.test_kinds import ACTIVE_FRACTION
 STANDS_S = 0.3  # s; shortest standstill, after as long under the same command: several lags (chosen)
 AT_END_FRACTION = 0.02  # of the range; largest distance of a stop from the farthest displacement (chosen)
 REACHED_FRACTION = 0.0025  # of the range; a log that comes so near to a stop has reached it (chosen)
+STALL_SPEED_FRACTION = 0.1  # of the largest travel over 0.3 s; slower is a stall (chosen)
+STALL_COMMAND_FRACTION = 0.8  # of a stall; least share with a strong command (chosen)
 LONGEST_SPIKE = 3  # samples; a farther displacement that lasts no longer is no motion
 PASSED_FRACTION = 0.02  # of the range; a stop that logs pass by more is not where it is said to be (chosen)
 
@@ -63,6 +65,7 @@ def find_end_stop(
     A piston is at its stop where it stands at the extreme of its travel, within 2 % of the range, while its
     command has been on for 0.6 s, the last 0.3 s of them without motion. The command must be one that moves
     the piston elsewhere, and more than any at which it stands elsewhere, as in the dead zone. Once is enough.
+    Where tests of this direction agree on where a strong command moves it no further, the stop is there.
 
     Args:
         records: tests of any kind.
@@ -75,6 +78,8 @@ def find_end_stop(
         return None
     farthest = max(_without_spikes(drive.position) for drive in drives)
     span = farthest - min(-_without_spikes(-drive.position) for drive in drives)
+    if known is None:
+        known = _agreed_stall([record for record in records if record.kind == direction], direction, sign)
     if known is None:
         largest = max(float(drive.command.max()) for drive in drives)
         moving, still, standing_at = [], [], []
@@ -122,6 +127,47 @@ def find_end_stop(
             starts, stops = true_intervals(covered)
             stretches[drive.record.name] = list(zip(starts.tolist(), stops.tolist(), strict=True))
     return EndStop(sign * position, tuple(reached), stretches)
+
+
+def _agreed_stall(records: Sequence[Record], direction: str, sign: int) -> float | None:
+    """Return the displacement at which at least two tests stall, none going 2 % of the range beyond it.
+
+    A stop gives: a piston that is pressed harder goes on a little. The median of whole stalls, of one test
+    each, tells where it gives least; that of single standstills would be of the weakest commands.
+    """
+    contacts = [(record, _stall(record, direction)) for record in records]
+    levels = [np.median(record.displacement[start:]) for record, start in contacts if start is not None]
+    if len(levels) < 2:
+        return None
+    farthest = max(float(np.max(sign * record.displacement)) for record in records)
+    nearest = min(float(np.min(sign * record.displacement)) for record in records)
+    tolerance, level = AT_END_FRACTION * (farthest - nearest), float(np.median(levels))
+    agreeing = int(np.sum(np.abs(np.array(levels) - level) <= tolerance))
+    return level if agreeing >= 2 and farthest - sign * level <= tolerance else None
+
+
+def _stall(record: Record, direction: str) -> int | None:
+    """Return the sample from which a strong command moves the piston no further, or None.
+
+    Beyond half of the record's travel and up to the last strong command (one at or above the median), the
+    travel over 0.3 s is below 10 % of the largest travel over that time.
+    """
+    command = np.abs(record.command(direction))
+    active = command > ACTIVE_FRACTION * command.max()
+    window = max(2, round(STANDS_S / record.step_s))
+    if not np.any(active):
+        return None
+    strong = command >= np.median(command[active])
+    stop = int(np.flatnonzero(strong)[-1]) + 1
+    displacement = record.displacement[:stop]
+    if stop <= 2 * window:
+        return None
+    travelled = np.abs(displacement[window:] - displacement[:-window])
+    moving = np.flatnonzero(travelled >= STALL_SPEED_FRACTION * travelled.max())
+    contact = int(moving[-1]) + 1
+    past_half = abs(displacement[contact] - displacement[0]) > 0.5 * float(np.ptp(displacement))
+    is_pressed = float(np.mean(strong[contact:stop])) > STALL_COMMAND_FRACTION
+    return contact if past_half and is_pressed and stop - contact > window else None
 
 
 def _drive(record: Record, direction: str, sign: int) -> _Drive:
