@@ -37,6 +37,11 @@ maximum_signature_line_length = 88
 # Types of other packages, whose documentation is not part of this one, and internal types.
 INTERNAL = (
     "_support.checkpoints",
+    "adaptation.events._whole",
+    "adaptation.parameters.Annotated",
+    "control.prediction.DrawnHitch",
+    "control.prediction._State",
+    "data.dataframes.Frame",
     "estimation.search_problem",
     "identification.phase1.Fit",
     "model.commands",

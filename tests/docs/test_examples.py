@@ -34,7 +34,7 @@ DEFAULT_SETTINGS = ("README.md", "docs/index.md")
 # Commands that are not run here.
 NOT_RUN = ("pip install ", "make ", "recorder | ", "mkdir ", "hitchid hmi ")
 DIRECTIVES = ("{toctree}", "{figure}", "{glossary}", "{include}", "{eval-rst}", "{command-line}")
-CAMPAIGN_KEYS = {"can", "signals", "split", "tests"}
+CAMPAIGN_KEYS = {"can", "end_stops", "signals", "split", "tests"}
 OMITTED = "…"
 NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e-?\d+)?")
 COLUMNS = 120

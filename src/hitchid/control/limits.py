@@ -73,5 +73,5 @@ def _figures(table: Mapping[str, object], prefix: str = "") -> Iterator[tuple[st
     for name, value in table.items():
         if isinstance(value, Mapping):
             yield from _figures(value, f"{prefix}{name}.")
-        else:
+        elif not isinstance(value, str):  # a unit
             yield f"{prefix}{name}", None if value is None else float(value)  # pyright: ignore[reportArgumentType]
