@@ -51,7 +51,7 @@ def table_of(content: Content, signals: SignalMap) -> LogTable:
 
     The unit in the file has precedence. Where the signal map gives another unit of the same dimension, the
     numbers are converted, with a notice. A unit of another dimension and a name that contradicts the file are
-    refused. Channels with clocks of their own are resampled onto the slowest of them.
+    refused. Channels with clocks of their own come to that of the motion, as `resample_to_common_clock` says.
 
     Raises:
         LogError: a unit is missing or contradictory, a channel holds no number, or the clocks do not overlap.

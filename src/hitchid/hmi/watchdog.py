@@ -13,11 +13,8 @@ import time
 import warnings
 from collections.abc import Callable
 
-ALIVE, END, ACTED = (
-    b".",
-    b"e",
-    b"0",
-)  # signs of life and the end to the watchdog; its word that it has sent zero
+ALIVE, END = b".", b"e"  # to the watchdog: a sign of life, and its end
+ACTED = b"0"  # its word that it has sent zero
 ZERO_TRIES, ZERO_WAIT_S = 5, 0.02  # times that zero is sent after the loop was killed, s between; chosen
 LONGEST_SEND_S = 1  # s that a source may take for a zero, then the watchdog ends as well; chosen
 
