@@ -304,6 +304,18 @@ def test_a_writer_leaves_alone_what_another_one_of_its_target_writes(tmp_path):
     assert left_in(tmp_path) == ["a"]
 
 
+def test_a_folder_within_a_folder_is_written_as_a_result_of_its_own(tmp_path):
+    """As a study writes its models: the writer of the outer folder does not wait for itself."""
+
+    def outer(folder):
+        write_folder(folder / "inner", fill("new"), result_kind="mark.json", force=False)
+        fill("outer")(folder)
+
+    write_folder(tmp_path / "out", outer, result_kind="mark.json", force=False)
+    assert (tmp_path / "out" / "inner" / "mark.json").read_text() == "new"
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
 @pytest.mark.parametrize("number", [errno.EROFS, errno.ENOSPC, errno.EACCES])
 def test_a_place_that_cannot_be_written_is_refused_before_any_work(tmp_path, monkeypatch, number):
     def refuse(*_, dir):

@@ -147,10 +147,9 @@ def session(tmp_path_factory):
 def server_lives(session):
     """The server is alive after each test, and nothing was armed by it that was not asked for."""
     yield
-    if session.process.poll() is None:
-        status, _, content = session.ask("GET", "/api/project")
-        assert status == 200
-        assert json.loads(content)["folder"] == "project"
+    status, _, content = session.ask("GET", "/api/project")
+    assert status == 200
+    assert json.loads(content)["folder"] == "project"
 
 
 def test_a_link_can_be_used_once(session):
@@ -680,12 +679,15 @@ def test_a_bench_loop_that_was_frozen_and_goes_on_is_stopped(session):
         told = said(operator, lambda message: "does not answer" in message.get("reason", ""))
         assert told["reason"].endswith("use its own emergency stop")
         os.kill(bench, signal.SIGCONT)
-        assert "late" in in_state(operator, "stopped")["reason"]
+        # Where in its tick it was frozen decides which is seen first: its own lateness or the silent server.
+        reason = in_state(operator, "stopped")["reason"]
+        assert "late" in reason or "no sign of life" in reason
         assert asked(operator, "reset") is None
         assert asked(operator, "disconnect") is None
 
 
-def test_a_killed_server_takes_the_bench_loop_with_it_and_leaves_the_log_whole(session):
+def test_a_killed_server_takes_the_bench_loop_with_it_and_leaves_the_log_whole(tmp_path):
+    session = Session(tmp_path / "project")
     with session.page() as operator:
         assert asked(operator, "connect", source="fake_bench:Plant") is None
         assert asked(operator, "record", on=True) is None
@@ -696,7 +698,7 @@ def test_a_killed_server_takes_the_bench_loop_with_it_and_leaves_the_log_whole(s
         time.sleep(1.0)
         os.kill(session.process.pid, signal.SIGKILL)
         session.process.wait()
-        end_s = time.monotonic() + 2.0
+        end_s = time.monotonic() + LONGEST_S
         while Path(f"/proc/{bench}").exists() and time.monotonic() < end_s:
             time.sleep(0.02)
         with contextlib.suppress(OSError):  # it may wait for whoever adopted it to take note

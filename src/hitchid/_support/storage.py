@@ -92,20 +92,16 @@ def _temporary_folder(target: Path) -> Iterator[Path]:
     is no longer locked, and removed here. Where there are no locks, as on Windows, it stays.
     """
     prefix = f".{target.name}-"
-    # No other writer may take the new folder for one that was left, before it is locked.
-    parent_lock = _lock(target.parent, wait=True)
-    try:
-        for left in target.parent.iterdir():
-            if left.name.startswith(prefix) and left.name.endswith(UNFINISHED):
-                lock = _lock(left, wait=False)
-                if lock is not None:
-                    shutil.rmtree(left, ignore_errors=True)
-                    os.close(lock)
-        folder = Path(tempfile.mkdtemp(prefix=prefix, suffix=UNFINISHED, dir=target.parent))
-        lock = _lock(folder, wait=False)
-    finally:
-        if parent_lock is not None:
-            os.close(parent_lock)
+    for left in target.parent.iterdir():
+        if left.name.startswith(prefix) and left.name.endswith(UNFINISHED):
+            lock = _lock(left)
+            if lock is not None:
+                shutil.rmtree(left, ignore_errors=True)
+                os.close(lock)
+    made = Path(tempfile.mkdtemp(prefix=prefix, dir=target.parent))
+    lock = _lock(made)
+    # Named only once it is locked: no other writer can take it for one that was left.
+    folder = made.rename(f"{made}{UNFINISHED}")
     try:
         yield folder
     finally:
@@ -114,7 +110,7 @@ def _temporary_folder(target: Path) -> Iterator[Path]:
             os.close(lock)
 
 
-def _lock(folder: Path, *, wait: bool) -> int | None:
+def _lock(folder: Path) -> int | None:
     """Return the handle by which this process alone holds a folder; None where it cannot."""
     try:
         import fcntl
@@ -123,7 +119,7 @@ def _lock(folder: Path, *, wait: bool) -> int | None:
     except (ImportError, OSError):
         return None
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:  # another process has it, or the file system has no locks
         os.close(handle)
         return None
