@@ -201,6 +201,22 @@ def test_little_motion_short_tests_and_rests_are_told(clean, make_test, found):
     assert [each.record for each in said(findings, "no command is active")] == ["lifting-10"]
 
 
+def test_a_default_split_of_the_strongest_tests_alone_is_noted(make_test, found):
+    levels = np.linspace(0.4, 0.9, 10)
+    named = [make_test(f"a{k}", command=prbs_at(level)) for k, level in enumerate(levels)]
+    (finding,) = said(found(named, "excitation"), "the held-out lifting tests reach 0.844 to 0.9 A only")
+    assert (finding.severity, finding.advice[-6:]) == (Severity.NOTE, "a2, a7")
+    mixed = [make_test(f"a{k}", command=prbs_at(level)) for k, level in enumerate(np.roll(levels, 5))]
+    assert not said(found(mixed, "excitation"), "the held-out")
+    alike = [make_test(f"a{k}", command=prbs_at(0.6)) for k in range(10)]
+    assert not said(found(alike, "excitation"), "the held-out")
+
+
+def prbs_at(level):
+    """Return pulses between rest and a level."""
+    return level * np.repeat(np.random.default_rng(0).choice([0.0, 1.0], 24), 50)
+
+
 def test_commands_barely_above_the_dead_zone_are_told(clean, make_test, found):
     weak = [make_test(f"w-{k}", command=0.5 * r.command("lifting")) for k, r in enumerate(clean[:6])]
     findings = found([*weak, *clean[6:]], "excitation")

@@ -9,7 +9,13 @@ from hitchid.audit.clocks import current_lag, motion_before_command
 from hitchid.audit.commands import both_valves, idle_commands
 from hitchid.audit.context import CampaignContext, RecordContext, campaign_context, join_names
 from hitchid.audit.end_stops import end_stops
-from hitchid.audit.excitation import changes, little_motion, short_or_idle, too_few_tests
+from hitchid.audit.excitation import (
+    changes,
+    little_motion,
+    one_sided_split,
+    short_or_idle,
+    too_few_tests,
+)
 from hitchid.audit.feedback import feedback
 from hitchid.audit.finding import AuditFinding
 from hitchid.audit.neutral import neutral
@@ -52,6 +58,7 @@ CAMPAIGN_CHECKS: tuple[Callable[[CampaignContext], list[AuditFinding]], ...] = (
     ramp_onsets,
     feedback,
     changes,
+    one_sided_split,
     too_few_tests,
 )
 

@@ -15,6 +15,7 @@ LEAST_ACTIVE = 0.10  # of a test's duration, time with a command (chosen)
 SHORTEST_S = 3.0  # s; a few dead times and lags of common valves
 FEWEST_TESTS = 5  # tests, for the variance of parameters between tests
 ABOVE_DEAD_ZONE = 1.2  # ratio of the command to that at which ramps start motion (chosen)
+OUTER = 0.25  # of the range of levels: tests within it are all of the weakest or all of the strongest (chosen)
 ONSET_FRACTION = 0.05  # of a ramp's travel; defines its onset (chosen)
 
 
@@ -104,6 +105,36 @@ def _levels(context: RecordContext, direction: str) -> tuple[float, float, int] 
     command /= LEVEL_FRACTION * context.scales[direction]
     np.rint(command, out=command)
     return float(low), float(high), int(np.count_nonzero(command[1:] != command[:-1]))
+
+
+def one_sided_split(context: CampaignContext) -> list[AuditFinding]:
+    """Find directions whose last fifth, held out by default, holds only the weakest or strongest tests: a note.
+
+    Logs named by their level are held out by their level then, and the validation says nothing of the others.
+    """
+    findings, campaign = [], context.campaign
+    for direction in context.tests[0].record.directions if campaign.test_patterns is None else ():
+        spans = {test.record.name: _levels(test, direction) for test in context.of_kind(direction)}
+        highest = {name: span[1] for name, span in spans.items() if span is not None}
+        held_out = [highest[test.name] for test in campaign.held_out(direction) if test.name in highest]
+        if len(highest) < FEWEST_TESTS or not held_out:
+            continue
+        names = sorted(highest, key=lambda name: highest[name])
+        low, high = highest[names[0]], highest[names[-1]]
+        if high - low < LEVEL_FRACTION * context.scales[direction]:
+            continue
+        shares = [(level - low) / (high - low) for level in held_out]
+        if OUTER < max(shares) and min(shares) < 1 - OUTER:
+            continue
+        unit = command_unit(context.tests[0].record, direction)
+        spread = names[FEWEST_TESTS // 2 :: FEWEST_TESTS]
+        what = (
+            f"the held-out {direction} tests reach {min(held_out):.3g} to {max(held_out):.3g} {unit} only, "
+            f"all tests {low:.3g} to {high:.3g} {unit}"
+        )
+        advice = f"hold out tests spread over the levels, under [split] in campaign.toml: {join_names(spread)}"
+        findings.append(_direction_finding(direction, Severity.NOTE, what, advice))
+    return findings
 
 
 def too_few_tests(context: CampaignContext) -> list[AuditFinding]:
