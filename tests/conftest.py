@@ -1,4 +1,4 @@
-"""What every test shares: double precision, checked shapes, made-up benches, measured data."""
+"""What every test shares: double precision, shapes checked on request, made-up benches, measured data."""
 
 import atexit
 import fcntl
@@ -33,9 +33,12 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 # examples are the same in every run: a run that fails has found a fault in what was changed.
 settings.register_profile("few", deadline=None, derandomize=True, max_examples=25)
 settings.register_profile("full", deadline=None, derandomize=True, max_examples=100)
-settings.load_profile(os.environ.get("HITCHID_EXAMPLES", "few"))
+EXAMPLES = os.environ.get("HITCHID_EXAMPLES", "few")
+settings.load_profile(EXAMPLES)
 
-install_import_hook("hitchid", "beartype.beartype")
+# Types and shapes of every call, which take a third of the time of a test, are checked by `make test-all`.
+if EXAMPLES == "full":
+    install_import_hook("hitchid", "beartype.beartype")
 
 from benches import write_bench  # noqa: E402
 from hitchid.data.record import Record  # noqa: E402
