@@ -144,8 +144,10 @@ def test_however_a_log_is_written_its_numbers_are_read(log, content):
         assert same_bits(table.channels[name].values, samples)
 
 
-@with_folder
-@given(notes=st.lists(st.text(st.characters(codec="utf-8")), min_size=3, max_size=3))
+@with_folder  # a row with a NUL never reached the disk whole, and is cut; line ends are unified
+@given(
+    notes=st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\0\r")), min_size=3, max_size=3)
+)
 def test_whatever_text_stands_quoted_beside_does_no_harm(log, notes):
     text = io.StringIO(newline="")
     writer = csv.writer(text, quoting=csv.QUOTE_ALL, lineterminator="\n")
@@ -182,7 +184,9 @@ def test_a_cell_is_the_number_it_says_or_is_refused_by_line_and_column(log, cell
         assert "expected a number" in message
         return
     without_digit = not any(map(str.isdigit, cell)) or "#" in cell
-    np.testing.assert_array_equal(read, np.nan if without_digit and not is_number(cell) else float(cell))
+    np.testing.assert_array_equal(
+        read, np.nan if without_digit and not is_number(cell) else float(cell.strip())
+    )
 
 
 @pytest.mark.parametrize(
