@@ -1,5 +1,6 @@
 """What must hold on measured data beside the gauntlet's bars; skipped where the data are missing."""
 
+import re
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -34,7 +35,8 @@ def test_the_lag_of_the_papers_lowering_model_is_not_printed_as_if_it_were_deter
         row.split("|")[1].strip(): row.split("|")[3].strip() for row in section.splitlines() if "|" in row
     }
     assert cells["K/τ"].startswith("15.")
-    assert cells["τ"] == cells["alpha2 = K"] == cells["beta4 = tau"] == ""
+    # The values that fit best, as single numbers: no error beside them claims that they are known.
+    assert all(re.fullmatch(r"[\d.e+]+", cells[name]) for name in ("τ", "alpha2 = K", "beta4 = tau")), cells
 
 
 @pytest.mark.parametrize("mode", ["lifting", "lowering"])
