@@ -12,7 +12,6 @@ from hitchid._support.compilation import prepare_jax
 from hitchid._support.lines import lines
 from hitchid._support.storage import check_folder
 from hitchid.cli.options import Force, Loads, loads_of
-from hitchid.cli.terminal import show_adaptation
 from hitchid.errors import InputError
 
 if TYPE_CHECKING:
@@ -48,6 +47,7 @@ def run(
     if not adapt and (changes is not None or save is not None):
         raise InputError("--changes and --save are for adaptation; give --adapt, too")
     prepare_jax()
+    from hitchid.cli.terminal import show_adaptation
     from hitchid.model import load as load_model
     from hitchid.model import save as save_model
     from hitchid.model.artifact import MODEL_FILE
