@@ -15,7 +15,7 @@ LEAST_ACTIVE = 0.10  # of a test's duration, time with a command (chosen)
 SHORTEST_S = 3.0  # s; a few dead times and lags of common valves
 FEWEST_TESTS = 5  # tests, for the variance of parameters between tests
 ABOVE_DEAD_ZONE = 1.2  # ratio of the command to that at which ramps start motion (chosen)
-OUTER = 0.25  # of the range of levels: tests within it are all of the weakest or all of the strongest (chosen)
+OUTER = 0.25  # of the range of levels: the weakest or the strongest tests (chosen)
 ONSET_FRACTION = 0.05  # of a ramp's travel; defines its onset (chosen)
 
 
@@ -108,9 +108,9 @@ def _levels(context: RecordContext, direction: str) -> tuple[float, float, int] 
 
 
 def one_sided_split(context: CampaignContext) -> list[AuditFinding]:
-    """Find directions whose last fifth, held out by default, holds only the weakest or strongest tests: a note.
+    """Find directions whose held-out last fifth is of the weakest or strongest tests alone: a note.
 
-    Logs named by their level are held out by their level then, and the validation says nothing of the others.
+    Logs named by their level are held out by it, and the validation says nothing of the others.
     """
     findings, campaign = [], context.campaign
     for direction in context.tests[0].record.directions if campaign.test_patterns is None else ():
@@ -124,7 +124,7 @@ def one_sided_split(context: CampaignContext) -> list[AuditFinding]:
         if high - low < LEVEL_FRACTION * context.scales[direction]:
             continue
         shares = [(level - low) / (high - low) for level in held_out]
-        if OUTER < max(shares) and min(shares) < 1 - OUTER:
+        if max(shares) > OUTER and min(shares) < 1 - OUTER:
             continue
         unit = command_unit(context.tests[0].record, direction)
         spread = names[FEWEST_TESTS // 2 :: FEWEST_TESTS]
@@ -132,7 +132,7 @@ def one_sided_split(context: CampaignContext) -> list[AuditFinding]:
             f"the held-out {direction} tests reach {min(held_out):.3g} to {max(held_out):.3g} {unit} only, "
             f"all tests {low:.3g} to {high:.3g} {unit}"
         )
-        advice = f"hold out tests spread over the levels, under [split] in campaign.toml: {join_names(spread)}"
+        advice = f"hold out other levels too, under [split] in campaign.toml: {join_names(spread)}"
         findings.append(_direction_finding(direction, Severity.NOTE, what, advice))
     return findings
 
