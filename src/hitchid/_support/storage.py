@@ -98,11 +98,11 @@ def _temporary_folder(target: Path) -> Iterator[Path]:
             if lock is not None:
                 shutil.rmtree(left, ignore_errors=True)
                 os.close(lock)
-    made = Path(tempfile.mkdtemp(prefix=prefix, dir=target.parent))
-    lock = _lock(made)
-    # Named only once it is locked: no other writer can take it for one that was left.
-    folder = made.rename(f"{made}{UNFINISHED}")
+    folder = Path(tempfile.mkdtemp(prefix=prefix, dir=target.parent))
+    lock = _lock(folder)
     try:
+        # Named only once it is locked: no other writer can take it for one that was left.
+        folder = folder.rename(f"{folder}{UNFINISHED}")
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
