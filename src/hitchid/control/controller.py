@@ -249,7 +249,7 @@ def _step(
 
 
 def _target_speed(state: ControllerState, target: Scalar, limits: ReferenceLimits, step_s: float) -> Scalar:
-    """Return the smoothed speed of a moving target, mm/s; zero after a jump that is faster than the hitch."""
+    """Return the smoothed speed of a moving target; zero after a jump that is faster than the hitch."""
     change = (target - state.target) / step_s
     is_reachable = (change <= limits.speed[0]) & (change >= -limits.speed[1])
     share = step_s / TARGET_SPEED_S

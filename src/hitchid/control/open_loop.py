@@ -18,12 +18,12 @@ LOWEST_RAD_S = 0.05  # rad/s, below any crossing of a loop that settles within a
 
 @short_repr
 class PlantResponse(NamedTuple):
-    """Response from current to displacement over frequency, mm/A, exact for a current held between samples.
+    """Response from current to displacement over frequency, exact for a current held between samples.
 
     Attributes:
         undelayed: without the dead time, shape [..., F].
         delay: of the dead time, shape [..., F].
-        speed_gain: steady speed over current, mm/(s·A), shape [...].
+        speed_gain: steady speed over current, shape [...].
     """
 
     undelayed: Complex[np.ndarray, "*s f"]

@@ -16,7 +16,7 @@ class Reference(NamedTuple):
     """Where the hitch should be.
 
     Attributes:
-        position: mm.
+        position: of the hitch.
         speed: its speed.
         acceleration: over the sample before.
     """
@@ -54,7 +54,7 @@ class ReferenceLimits(eqx.Module):
 
         Args:
             reference: now.
-            target: mm.
+            target: of the position.
             target_speed: of the target.
             step_s: sampling time h, s.
         """

@@ -264,7 +264,7 @@ def _trial_runs(
     found = []
     for number, way in enumerate(ways):
         target = middle + way
-        runs = run_on_model(controller, hitches, jax.random.key(seed + number), target, start_mm=middle)
+        runs = run_on_model(controller, hitches, jax.random.key(seed + number), target, start=middle)
         found.append(TrialRun(time_s, target, runs))
     return tuple(found)
 
