@@ -12,8 +12,8 @@ from hitchid.control.controller import Gains
 from hitchid.structures import SmallSignal
 from hitchid.structures.discretisation import discretise_delayed
 
-FREQUENCIES = 400  # of a loop, up to half the sampling frequency; chosen
-LOWEST_RAD_S = 0.05  # rad/s, below any crossing of a loop that settles within a minute; chosen
+FREQUENCIES = 460  # of a loop, up to half the sampling frequency; chosen
+LOWEST_RAD_S = 0.01  # rad/s, below any crossing of a loop that settles within a minute; chosen
 
 
 @short_repr

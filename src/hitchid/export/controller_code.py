@@ -11,7 +11,7 @@ from jaxtyping import Float
 from hitchid._support.storage import write_files
 from hitchid.control import ControllerFile, HitchController
 from hitchid.control.axis import REACHABLE, Axis
-from hitchid.control.controller import REST_S, RESTLESS, SMOOTHING_S, STILL_SHARE, TARGET_SPEED_S
+from hitchid.control.controller import REST_S, SMOOTHING_S, STILL_SHARE, TARGET_SPEED_S, WIDEST
 from hitchid.data.record import DIRECTIONS
 from hitchid.errors import InputError
 from hitchid.export.c_templates import CTemplates, Field, Precision, Typed, c_templates, valve_fields
@@ -127,10 +127,11 @@ def controller_templates(
         },
         "speed_share": float(controller.speed_share),
         "target_share": step_s / TARGET_SPEED_S,
-        "smoothing_share": step_s / SMOOTHING_S,
+        "smoothing_share": 2 * step_s / SMOOTHING_S,
+        "drift_share": step_s / SMOOTHING_S**2,
         "still_share": STILL_SHARE,
-        "rest_s": REST_S,
-        "restless": RESTLESS,
+        "widest": WIDEST,
+        "narrowing": 0.5 ** (step_s / REST_S),
         "inner": float(controller.hold.inner),
         "outer": float(controller.hold.outer),
         "most_rise": float(controller.rate) * step_s,
@@ -180,8 +181,9 @@ def _fields() -> Sequence[Field]:
         Field("reference", "real", (), "shaped"),
         Field("reference_speed", "real", (), "its speed"),
         Field("integral", "real", (), "speed that the integral part asks for"),
-        Field("rest", "real", (), "s, since a held hitch was last moved back to its target"),
+        Field("widening", "real", (), "factor on the outer window"),
         Field("smoothed", "real", (), "predicted position without most of its noise"),
+        Field("drift", "real", (), "speed of the smoothed position beyond the predicted one"),
         Field("measured", "real", (), "last valid"),
         Field("target", "real", (), "last valid"),
         Field("target_speed", "real", (), "of a moving target"),
@@ -204,7 +206,6 @@ def _axis(controller: HitchController, number: int) -> dict[str, Any]:
         "shares": tuple(float(np.clip(samples - index, 0.0, 1.0)) for index in range(axis.buffer)),
         "dead_time_s": samples * step_s,
         "deceleration": float(controller.deceleration[number]),
-        "rise_share": step_s / max(float(controller.lags_s[number]), step_s),
         "lag_s": float(controller.lags_s[number]),
         "crossing": float(controller.crossing_speed[number]),
         "proportional": float(gains.proportional),
