@@ -186,7 +186,7 @@ def boom_lines(models: Path, draws: int, seed: int) -> Iterator[Line]:
     model = model_of(BOOM, models, seed)
     tuning = tune(model)
     ranges = [channel.operating_range.displacement for channel in model.channels.values()]
-    travel = max(float(own.lowest) for own in ranges), min(float(own.highest) for own in ranges)
+    travel = min(float(own.lowest) for own in ranges), max(float(own.highest) for own in ranges)
     plant = ModelPlant.of(tuning.controller, model, heavier=HEAVIER, draws=draws)
     result = drive(tuning.controller, plant, travel=travel, units=("deg", "percent"), draws=draws)
     yield "boom: samples with both valves on", float(result.metrics["both_valves_samples"]), "≤", 0.0

@@ -90,7 +90,7 @@ def drive_verdict(result: Drive, acceptance: Acceptance | None = None) -> tuple[
     """Return what the tables of the report mean, the worst first.
 
     Bad is a limit that failed, a loop that diverged, both valves on, and a step that does not settle or ends
-    outside its tolerance. A caution is a step with a larger IAE than SIMC PI with its dead zone compensated,
+    outside its tolerance. A caution is a run with a larger IAE than SIMC PI with its dead zone compensated,
     a held hitch with more than one valve action in ten seconds, and a bench outside the predicted band.
     """
     own, rival = result.figures[TESTED], result.figures[COMPENSATED]
@@ -123,18 +123,18 @@ def drive_verdict(result: Drive, acceptance: Acceptance | None = None) -> tuple[
         findings.append(Finding(Rating.GOOD, f"All {len(steps)} steps settle and end within the tolerance."))
     ratios = {
         name: own[name].iae / rival[name].iae
-        for name, scenario in steps.items()
-        if scenario.kind is Kind.STEP
+        for name, scenario in result.scenarios.items()
+        if scenario.kind is not Kind.HOLD
     }
     slower = {name: ratio for name, ratio in ratios.items() if not ratio <= 1}
     if slower:
         worst = max(slower, key=lambda name: slower[name])
         text = (
-            f"The IAE of {len(slower)} of {len(ratios)} steps is larger than that of {COMPENSATED}, the most"
+            f"The IAE of {len(slower)} of {len(ratios)} runs is larger than that of {COMPENSATED}, the most"
         )
         findings.append(Finding(Rating.CAUTION, f"{text} in {worst}: {slower[worst]:.2f} times."))
     elif ratios:
-        text = f"The IAE of each step is at most {max(ratios.values()):.2f} times that of {COMPENSATED}."
+        text = f"The IAE of each run is at most {max(ratios.values()):.2f} times that of {COMPENSATED}."
         findings.append(Finding(Rating.GOOD, text))
     for name, scenario in result.scenarios.items():
         if scenario.kind is Kind.HOLD:
