@@ -32,7 +32,7 @@ from hitchid.control import (
     save_controller,
     tune,
 )
-from hitchid.control.direction_loops import DirectionLoops
+from hitchid.control.direction_loops import HEAVIER, DirectionLoops
 from hitchid.control.drive import TESTED
 from hitchid.control.figures import ON_A
 from hitchid.control.pid import COMPENSATED
@@ -44,7 +44,7 @@ from hitchid.export.compiler import find_compiler
 from hitchid.rig import load_rig
 
 RIGS = ("nominal", "light-warm-worn", "heavy-cold")
-BOOM, HEAVIER = "excavator-boom", 0.2
+BOOM = "excavator-boom"
 MOVED_S, HELD_S, MOVED_MM = 10.0, 60.0, 10.0  # a step before holding, so that it begins where a hitch landed
 ROWS = {
     "100 mm up: settled, s": ("steps", "100", "settling_s"),
@@ -196,7 +196,7 @@ def boom_lines(models: Path, draws: int, seed: int) -> Iterator[Line]:
     for number, (direction, row) in enumerate(zip(DIRECTIONS, loads_of_channels(model, None), strict=True)):
         with jax.enable_x64(True):
             loops = DirectionLoops.of(model, direction, row, 200, 0)
-            speed = (1 / factor, factor)[number]
+            speed = (1 / factor, 1.0)[number]  # the plants of lowering are those of the heavier load
             plants = [each._replace(undelayed=speed * each.undelayed) for each in loops.plants]
             worst = replace(loops, plants=plants).margins(tuning.controller.gains[number]).worst
         yield f"boom, 20 % heavier, {direction}: gain margin, dB", float(worst.gain_db), "≥", 6.0
