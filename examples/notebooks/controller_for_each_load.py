@@ -77,5 +77,5 @@ for name, mass_kg in (("light", 450.0), ("heavy", 1300.0)):
             implement_factors=np.ones(4),
             surroundings=Surroundings(implement_kg=mass_kg),
         )
-        error = np.mean(np.abs(loops.displacement_mm - target))
+        error = np.mean(np.abs(loops.displacement - target))
         print(f"{name}, controller for the {title}: mean error {error:.2f} mm")

@@ -111,6 +111,6 @@ for name, controller in controllers.items():
         start_mm=115.0,
         implement_factors=np.linspace(0.9, 1.1, 4),
     )
-    beyond = np.max(loops.displacement_mm - 135.0)
-    error = np.mean(np.abs(loops.displacement_mm - target))
+    beyond = np.max(loops.displacement - 135.0)
+    error = np.mean(np.abs(loops.displacement - target))
     print(f"{name}: overshoot {beyond:.2f} mm, mean error {error:.2f} mm")

@@ -77,50 +77,50 @@ def traced(brisk):
 
 
 def test_the_bench_follows_its_target(traced) -> None:
-    assert traced.displacement_mm.shape == traced.measured_mm.shape == (2, SAMPLES)
-    assert traced.currents_a.shape == (2, SAMPLES, 2)
+    assert traced.displacement.shape == traced.measured.shape == (2, SAMPLES)
+    assert traced.commands.shape == (2, SAMPLES, 2)
     np.testing.assert_allclose(traced.time_s, 0.01 * np.arange(SAMPLES))
-    np.testing.assert_allclose(traced.displacement_mm[:, 0], START, atol=1e-6)
-    assert np.all(traced.displacement_mm[:, -1] > START + 3.0)
-    assert np.abs(traced.measured_mm - traced.displacement_mm).max() < 2.0
+    np.testing.assert_allclose(traced.displacement[:, 0], START, atol=1e-6)
+    assert np.all(traced.displacement[:, -1] > START + 3.0)
+    assert np.abs(traced.measured - traced.displacement).max() < 2.0
 
 
 def test_a_controller_of_plain_numbers_gives_the_same_signals(traced, brisk) -> None:
     plain = closed(Plain(brisk))
-    np.testing.assert_allclose(plain.displacement_mm, traced.displacement_mm, rtol=0, atol=1e-6)
-    np.testing.assert_allclose(plain.measured_mm, traced.measured_mm, rtol=0, atol=1e-6)
-    np.testing.assert_allclose(plain.currents_a, traced.currents_a, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(plain.displacement, traced.displacement, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(plain.measured, traced.measured, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(plain.commands, traced.commands, rtol=0, atol=1e-6)
 
 
 def test_a_held_hitch_is_measured_with_the_error_of_the_sensors_curve(traced) -> None:
     """The loops hold for 20 samples first; the means of 100 and of 40 readings differ by their noise."""
-    held = traced.measured_mm[:, :20]
+    held = traced.measured[:, :20]
     measured = measured_at_rest(load_rig("nominal"), jax.random.key(5), START, 100)
     assert measured == pytest.approx(held.mean(), abs=5 * held.std() / np.sqrt(30))
 
 
 def test_loops_have_noise_of_their_own_and_the_same_with_the_same_key(brisk) -> None:
     first, again = closed(brisk, factors=np.ones(2)), closed(brisk, factors=np.ones(2))
-    np.testing.assert_array_equal(first.measured_mm, again.measured_mm)
-    assert np.any(first.measured_mm[0] != first.measured_mm[1])
+    np.testing.assert_array_equal(first.measured, again.measured)
+    assert np.any(first.measured[0] != first.measured[1])
 
 
 def test_the_mass_of_the_implement_changes_the_motion(traced, brisk) -> None:
     other = closed(brisk, factors=np.array([1.0, 0.7]))
-    np.testing.assert_array_equal(other.displacement_mm[0], traced.displacement_mm[0])
-    assert np.abs(other.displacement_mm[1] - traced.displacement_mm[1]).max() > 1e-3
+    np.testing.assert_array_equal(other.displacement[0], traced.displacement[0])
+    assert np.abs(other.displacement[1] - traced.displacement[1]).max() > 1e-3
 
 
 def test_a_lost_sensor_measures_nothing_in_just_these_samples(brisk) -> None:
     found = closed(brisk, sensor_lost=LOST)
-    np.testing.assert_array_equal(np.isnan(found.measured_mm), np.tile(LOST, (2, 1)))
+    np.testing.assert_array_equal(np.isnan(found.measured), np.tile(LOST, (2, 1)))
 
 
 def test_currents_are_zero_without_a_measurement(brisk) -> None:
     found = closed(brisk, sensor_lost=LOST)
-    assert np.any(found.currents_a[:, LOST.argmax() - 1] > 0)
-    assert np.all(found.currents_a[np.isnan(found.measured_mm)] == 0)
-    assert np.all(np.isfinite(found.displacement_mm))
+    assert np.any(found.commands[:, LOST.argmax() - 1] > 0)
+    assert np.all(found.commands[np.isnan(found.measured)] == 0)
+    assert np.all(np.isfinite(found.displacement))
 
 
 @pytest.mark.parametrize(
@@ -146,14 +146,14 @@ def test_the_bench_of_a_loop_is_that_of_the_campaigns_at_any_oil_temperature(nam
     )
     expected_mm = 1e3 * np.asarray(open_loop.displacement_m)
     assert np.ptp(expected_mm) > 5.0
-    np.testing.assert_allclose(closed_loop.displacement_mm, expected_mm, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(closed_loop.displacement, expected_mm, rtol=0, atol=1e-6)
 
 
 def test_a_leak_that_grows_in_a_loop_lets_a_held_hitch_sink_faster() -> None:
     idle = TracedReturning(jnp.zeros(2))
     worn = np.where(np.arange(SAMPLES) < 75, 1.0, 20.0)
-    sound = closed(idle).displacement_mm
-    leaking = closed(idle, leakage_factor=worn).displacement_mm
+    sound = closed(idle).displacement
+    leaking = closed(idle, leakage_factor=worn).displacement
     np.testing.assert_array_equal(leaking[:, :76], sound[:, :76])
     assert np.all(leaking[:, -1] < sound[:, -1] - 0.01)
 
@@ -163,7 +163,7 @@ def test_a_dead_zone_that_wear_changes_shifts_the_current_of_a_speed(change_a: f
     """The opening is that of i/i_s − i₀/i_s over 1 − i₀/i_s: a longer dead zone slows the same current."""
     driven = TracedReturning(jnp.array([0.8, 0.0]))
     same, changed = closed(driven), closed(driven, dead_zone_change_a=change_a)
-    travel = [each.displacement_mm[:, -1] - START for each in (same, changed)]
+    travel = [each.displacement[:, -1] - START for each in (same, changed)]
     assert np.all(np.sign(travel[0] - travel[1]) == np.sign(change_a))
 
 
@@ -171,8 +171,8 @@ def test_cold_oil_and_soil_change_the_motion(traced, brisk) -> None:
     cold = closed(brisk, oil_c=5.0)
     soil = closed(brisk, surface_mm=START + 40.0, soil_n_per_mm=np.full(SAMPLES, 80.0))
     for other in (cold, soil):
-        assert np.all(np.isfinite(other.displacement_mm))
-        assert np.abs(other.displacement_mm - traced.displacement_mm).max() > 1e-3
+        assert np.all(np.isfinite(other.displacement))
+        assert np.abs(other.displacement - traced.displacement).max() > 1e-3
 
 
 @pytest.mark.parametrize("currents", [[0.1, 0.2, 0.3], [0.1], 0.5, None, "off", [[0.1, 0.2]]])

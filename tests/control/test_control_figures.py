@@ -14,21 +14,21 @@ BEGIN, SAMPLES, START = 100, 500, 100.0
 
 def scenario(amplitude: float = 20.0, **changed) -> Scenario:
     target = np.where(np.arange(SAMPLES) < BEGIN, START, START + amplitude)
-    step = Scenario("step", Kind.STEP, target, START, BEGIN, amplitude_mm=amplitude)
+    step = Scenario("step", Kind.STEP, target, START, BEGIN, amplitude=amplitude)
     changed = {"tolerance": 1.0 if abs(amplitude) == 5 else 2.0, **changed}
     return replace(step, **changed)
 
 
 def loops_of(own: Scenario, *displacements, measured=None, currents=None) -> ClosedLoops:
-    rows = np.stack(displacements or [own.target_mm])
+    rows = np.stack(displacements or [own.target])
     readings = rows if measured is None else np.stack(measured)
     currents = np.zeros((*rows.shape, 2)) if currents is None else np.asarray(currents)
-    return ClosedLoops(own.target_mm, rows, readings, currents)
+    return ClosedLoops(own.target, rows, readings, currents)
 
 
 def arriving(own: Scenario, after: int, beyond: float = 0.0):
     """Return a displacement that jumps `after` samples, `beyond` the target for the 10 that follow."""
-    displacement = np.where(np.arange(SAMPLES) < BEGIN + after, START, own.target_mm)
+    displacement = np.where(np.arange(SAMPLES) < BEGIN + after, START, own.target)
     displacement[BEGIN + after : BEGIN + after + 10] += beyond
     return displacement
 
@@ -45,16 +45,16 @@ def test_a_late_jump_settles_when_it_arrives(amplitude: float) -> None:
     own = scenario(amplitude)
     found = Figures.of(own, loops_of(own, arriving(own, 150)))
     assert found.settling_s == pytest.approx(1.5)
-    assert found.iae_mm_s == pytest.approx(20.0 * 1.5)
-    assert found.rmse_mm == pytest.approx(np.sqrt(400 * 150 / 400))
-    assert found.overshoot_mm == 0
+    assert found.iae == pytest.approx(20.0 * 1.5)
+    assert found.rmse == pytest.approx(np.sqrt(400 * 150 / 400))
+    assert found.overshoot == 0
 
 
 @pytest.mark.parametrize("amplitude", [20.0, -20.0])
 def test_overshoot_is_what_lies_beyond_the_end_of_the_step(amplitude: float) -> None:
     own = scenario(amplitude)
     found = Figures.of(own, loops_of(own, arriving(own, 150, np.sign(amplitude) * 3.0)))
-    assert found.overshoot_mm == pytest.approx(3.0)
+    assert found.overshoot == pytest.approx(3.0)
     assert found.settling_s == pytest.approx(1.6)
 
 
@@ -67,36 +67,36 @@ def test_a_small_step_has_the_narrower_tolerance(amplitude: float, settled: floa
 
 def test_a_loop_that_is_outside_at_the_end_never_settles() -> None:
     own = scenario()
-    assert Figures.of(own, loops_of(own, own.target_mm + 2.1)).settling_s == np.inf
-    assert Figures.of(own, loops_of(own, own.target_mm + 1.9)).settling_s == 0
+    assert Figures.of(own, loops_of(own, own.target + 2.1)).settling_s == np.inf
+    assert Figures.of(own, loops_of(own, own.target + 1.9)).settling_s == 0
 
 
 def test_a_displacement_that_is_not_finite_diverged_and_never_settles() -> None:
     own = scenario()
-    broken = own.target_mm.copy()
+    broken = own.target.copy()
     broken[-1] = np.nan
-    found = Figures.of(own, loops_of(own, broken, own.target_mm))
+    found = Figures.of(own, loops_of(own, broken, own.target))
     assert found.diverged == 1
     assert found.settling_s == np.inf
 
 
 def test_final_error_is_the_mean_of_the_last_second_of_the_measurement() -> None:
     own = scenario()
-    measured = own.target_mm.copy()
+    measured = own.target.copy()
     measured[:-100] += 7.0
     measured[-100:] += np.where(np.arange(100) % 2, 0.4, -0.2)
     measured[-1] = np.nan
     found = Figures.of(own, loops_of(own, measured=[measured]))
-    assert found.final_error_mm == pytest.approx(abs(0.4 * 49 - 0.2 * 50) / 99)
+    assert found.final_error == pytest.approx(abs(0.4 * 49 - 0.2 * 50) / 99)
 
 
 def test_the_figure_of_many_loops_is_the_worst_of_95_percent() -> None:
     own = scenario()
-    rows = [own.target_mm + error for error in np.linspace(0.0, 1.0, 101)]
+    rows = [own.target + error for error in np.linspace(0.0, 1.0, 101)]
     found = Figures.of(own, loops_of(own, *rows))
-    assert found.rmse_mm == pytest.approx(0.95)
-    assert found.final_error_mm == pytest.approx(0.95)
-    assert found.iae_mm_s == pytest.approx(0.5 * 4.0)
+    assert found.rmse == pytest.approx(0.95)
+    assert found.final_error == pytest.approx(0.95)
+    assert found.iae == pytest.approx(0.5 * 4.0)
 
 
 def test_settling_of_many_loops_is_that_of_95_percent() -> None:
@@ -124,7 +124,7 @@ def test_samples_until_closed_are_those_with_current_after_the_loss(still_on: in
     currents[:, 150:200, 0] = 0.5
     currents[1, 200 : 200 + still_on, 0] = 0.5
     assert (
-        Figures.of(own, loops_of(own, own.target_mm, own.target_mm, currents=currents)).samples_until_closed
+        Figures.of(own, loops_of(own, own.target, own.target, currents=currents)).samples_until_closed
         == expected
     )
 
@@ -132,7 +132,7 @@ def test_samples_until_closed_are_those_with_current_after_the_loss(still_on: in
 def test_only_steps_have_overshoot_and_settling() -> None:
     own = scenario(0.0)
     found = Figures.of(own, loops_of(own))
-    assert found.overshoot_mm is None
+    assert found.overshoot is None
     assert found.settling_s is None
 
 
@@ -141,8 +141,8 @@ def test_ratios_are_geometric_means_in_which_kinds_count_alike() -> None:
     base = Figures(1.0, 0.0, None, None, 0.0, 0.0, 0, None, 0)
     sizes = {"a": 0.5, "b": 2.0, "c": 4.0, "d": 0.25, "e": 99.0}
     found = iae_ratios(
-        {name: base._replace(iae_mm_s=3 * size) for name, size in sizes.items()},
-        {name: base._replace(iae_mm_s=3.0) for name in sizes},
+        {name: base._replace(iae=3 * size) for name, size in sizes.items()},
+        {name: base._replace(iae=3.0) for name in sizes},
         kinds,
     )
     assert found == pytest.approx({"all": 1.0, "step": 1.0, "ramp": 4.0, "sine": 0.25})

@@ -22,14 +22,14 @@ def loops() -> dict[str, OpenLoop]:
 
 def scenario() -> Scenario:
     target = np.where(TIME_S < 1, 100.0, 105.0)
-    return Scenario("step +5 mm", Kind.STEP, target, 100.0, 100, amplitude_mm=5.0)
+    return Scenario("step +5 mm", Kind.STEP, target, 100.0, 100, amplitude=5.0)
 
 
 def runs() -> ClosedLoops:
     displacement = np.stack([np.where(TIME_S < 1.2, 100.0, 105.1), np.where(TIME_S < 1.3, 100.0, 104.9)])
     currents = np.zeros((2, 300, 2))
     currents[:, 100:120, 0] = 0.7
-    return ClosedLoops(scenario().target_mm, displacement, displacement + 0.01, currents)
+    return ClosedLoops(scenario().target, displacement, displacement + 0.01, currents)
 
 
 def drawn(name: str) -> Figure:
@@ -41,10 +41,10 @@ def drawn(name: str) -> Figure:
         case "sensitivity":
             return open_loop.sensitivity(loops(), 1.7)
         case "steps":
-            target = scenario().target_mm
-            return open_loop.step_fan([TrialRun(TIME_S, target, runs().measured_mm)] * 2, "mm")
+            target = scenario().target
+            return open_loop.step_fan([TrialRun(TIME_S, target, runs().measured)] * 2, "mm")
         case _:
-            band = Band(scenario().target_mm - 1, scenario().target_mm + 1)
+            band = Band(scenario().target - 1, scenario().target + 1)
             return closed_loop.closed_loop(scenario(), runs(), runs(), band, "SIMC PI", ("mm", "A"))
 
 
@@ -76,6 +76,6 @@ def test_the_magnitude_is_that_of_the_model():
 def test_displacement_and_error_are_those_of_the_loops():
     displacement, error, current = drawn("closed loop").axes
     line = next(line for line in displacement.lines if line.get_label() == "controller")
-    np.testing.assert_array_equal(line.get_ydata(), runs().displacement_mm[0])
-    np.testing.assert_allclose(error.lines[0].get_ydata(), runs().displacement_mm[0] - scenario().target_mm)
+    np.testing.assert_array_equal(line.get_ydata(), runs().displacement[0])
+    np.testing.assert_allclose(error.lines[0].get_ydata(), runs().displacement[0] - scenario().target)
     assert {line.get_label() for line in current.lines} == {"lifting current", "lowering current"}

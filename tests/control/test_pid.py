@@ -20,7 +20,7 @@ def run(own: PidController, errors) -> tuple:
     state, integrals, currents = own.initial_state(100.0), [], []
     for error in errors:
         state, now = own.step(state, 100.0 + error, np.nan if np.isnan(error) else 100.0)
-        integrals.append(float(state.integral_a))
+        integrals.append(float(state.integral))
         currents.append(np.asarray(now))
     return np.array(integrals), np.array(currents)
 
@@ -75,8 +75,8 @@ def test_baselines_follow_the_simc_rules(linear_controller) -> None:
     np.testing.assert_allclose(simc.proportional, 1 / (gain * 2 * (0.08 + theta)), rtol=1e-6)
     np.testing.assert_allclose(simc.integral_s, 8 * (0.08 + theta), rtol=1e-9)
     np.testing.assert_array_equal(simc.derivative_s, 0.0)
-    np.testing.assert_array_equal(simc.offset_a, 0.0)
-    np.testing.assert_array_equal(found["SIMC PI, dead zone compensated"].offset_a, [0.35, 0.25])
+    np.testing.assert_array_equal(simc.offset, 0.0)
+    np.testing.assert_array_equal(found["SIMC PI, dead zone compensated"].offset, [0.35, 0.25])
     fixed = found["fixed PID"]
     parallel = 1 + 0.08 / (8 * theta)  # series form to parallel form
     np.testing.assert_allclose(fixed.proportional, parallel / (25.0 * 2 * theta), rtol=1e-6)

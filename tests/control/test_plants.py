@@ -52,8 +52,8 @@ def test_a_loop_of_a_plain_plant_decays_as_its_difference_equation() -> None:
     target = np.full(100, 11.0)
     loops = run_plant_loops(Proportional(), Boom(), 0, target, start=10.0, loops=2)
     error = (1 - 0.5 * STEP_S * 2.0) ** np.arange(100)  # deg
-    np.testing.assert_allclose(loops.displacement_mm, np.tile(11.0 - error, (2, 1)), rtol=1e-12)
-    np.testing.assert_allclose(loops.currents_a[0, :, 0], 2.0 * error, rtol=1e-10)
+    np.testing.assert_allclose(loops.displacement, np.tile(11.0 - error, (2, 1)), rtol=1e-12)
+    np.testing.assert_allclose(loops.commands[0, :, 0], 2.0 * error, rtol=1e-10)
 
 
 def test_a_sensor_that_is_lost_is_lost_to_the_controller_only() -> None:
@@ -61,8 +61,8 @@ def test_a_sensor_that_is_lost_is_lost_to_the_controller_only() -> None:
     loops = run_plant_loops(
         Proportional(), Boom(), 0, np.full(60, 11.0), start=10.0, loops=1, sensor_lost=lost
     )
-    assert np.all(np.isfinite(loops.measured_mm))
-    assert np.all((loops.currents_a[0] > 0).any(axis=1) == ~lost)
+    assert np.all(np.isfinite(loops.measured))
+    assert np.all((loops.commands[0] > 0).any(axis=1) == ~lost)
 
 
 def test_a_plant_that_measures_no_number_is_refused() -> None:
@@ -78,11 +78,11 @@ def test_a_plant_that_measures_no_number_is_refused() -> None:
 def test_the_scenarios_of_a_plant_stay_within_its_travel_and_speed(lowest, highest, slowest) -> None:
     found = plant_scenarios(lowest, highest, slowest, "deg")
     for scenario in found:
-        assert lowest < scenario.target_mm.min() <= scenario.target_mm.max() < highest
+        assert lowest < scenario.target.min() <= scenario.target.max() < highest
         if scenario.kind in (Kind.RAMP, Kind.SINE):
-            assert np.abs(np.diff(scenario.target_mm)).max() / STEP_S < slowest
-        if scenario.amplitude_mm:
-            assert 0 < scenario.tolerance < abs(scenario.amplitude_mm)
+            assert np.abs(np.diff(scenario.target)).max() / STEP_S < slowest
+        if scenario.amplitude:
+            assert 0 < scenario.tolerance < abs(scenario.amplitude)
     assert "step +5 deg" in {scenario.name for scenario in found}
 
 

@@ -19,7 +19,7 @@ from hitchid.control.direction_loops import (
     MIN_PHASE_DEG,
     DirectionLoops,
 )
-from hitchid.control.gain_design import pi_gains
+from hitchid.control.gain_design import lqi_gains, pi_gains
 from hitchid.control.limits import check_drive, read_drive_limits
 from hitchid.control.prediction import loads_of_channels
 from hitchid.control.tuning import LOWEST_RAD_S, check_tunable, fastest_gains
@@ -91,6 +91,9 @@ def test_the_bandwidth_is_the_largest_with_these_margins_that_the_noise_allows(m
         assert min(slack) < 1.05
         expected = max(LOWEST_RAD_S, min(float(gains.proportional), loops.noise_rad_s))
         assert float(capped.proportional) == pytest.approx(expected, rel=0.01)
+        with jax.enable_x64(True):
+            lqi = fastest_gains(loops, lqi_gains)
+        assert lqi is None or float(lqi.proportional) <= max(LOWEST_RAD_S, loops.noise_rad_s)
 
 
 def test_a_controller_that_noise_limits_says_so(model: hitchid.Hitch):

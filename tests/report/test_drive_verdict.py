@@ -32,7 +32,7 @@ def text_of(result: Drive) -> tuple[list[Rating], str]:
 
 
 def test_a_drive_without_a_fault_has_no_other_line_than_good(by_name) -> None:
-    rival = {name: GOOD._replace(iae_mm_s=12.0) for name in by_name}
+    rival = {name: GOOD._replace(iae=12.0) for name in by_name}
     levels, text = text_of(driven(by_name, dict.fromkeys(by_name, GOOD), rival))
     assert set(levels) == {Rating.GOOD}
     assert "at most 0.83 times" in text
@@ -43,11 +43,11 @@ def test_every_fault_of_a_table_is_a_line_of_the_verdict(by_name, seed: int) -> 
     rng = np.random.default_rng(seed)
     own = {
         name: Figures(
-            iae_mm_s=float(rng.uniform(7, 12)),
-            rmse_mm=1.0,
-            overshoot_mm=0.1,
+            iae=float(rng.uniform(7, 12)),
+            rmse=1.0,
+            overshoot=0.1,
             settling_s=float(rng.choice([1.0, np.inf], p=[0.9, 0.1])),
-            final_error_mm=float(rng.choice([0.5, 9.0], p=[0.9, 0.1])),
+            final_error=float(rng.choice([0.5, 9.0], p=[0.9, 0.1])),
             valve_actions_per_10_s=float(rng.choice([0.4, 152.0])),
             both_valves_samples=int(rng.choice([0, 3], p=[0.97, 0.03])),
             samples_until_closed=None,
@@ -57,14 +57,12 @@ def test_every_fault_of_a_table_is_a_line_of_the_verdict(by_name, seed: int) -> 
     }
     levels, text = text_of(driven(by_name, own, dict.fromkeys(by_name, GOOD)))
     assert levels == sorted(levels, key=ORDER.index)
-    steps = {name: scenario for name, scenario in by_name.items() if scenario.amplitude_mm}
+    steps = {name: scenario for name, scenario in by_name.items() if scenario.amplitude}
     for name in steps:
         assert (f"settled: {name}" in text or f"; {name}" in text) == np.isinf(own[name].settling_s)
-    off = [own[n].final_error_mm for n, s in steps.items() if own[n].final_error_mm > s.tolerance]
+    off = [own[n].final_error for n, s in steps.items() if own[n].final_error > s.tolerance]
     assert (f"{max(off):.1f} mm off" in text) if off else ("mm off" not in text)
-    slower = [
-        own[n].iae_mm_s / 10 for n, s in steps.items() if s.kind.value == "step" and own[n].iae_mm_s > 10
-    ]
+    slower = [own[n].iae / 10 for n, s in by_name.items() if s.kind.value != "hold" and own[n].iae > 10]
     assert (
         (f"{max(slower):.2f} times." in text)
         if slower

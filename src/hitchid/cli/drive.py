@@ -89,9 +89,10 @@ def drive(
         if model is None:
             raise InputError(f"--plant: the travel of the model is needed; {notices[0]}")
         ranges = [channel.operating_range.displacement for channel in model.channels.values()]
+        # Of both directions together: tests that lift from below and lower from above need not overlap.
         travel = (
-            max(float(own_range.lowest) for own_range in ranges),
-            min(float(own_range.highest) for own_range in ranges),
+            min(float(own_range.lowest) for own_range in ranges),
+            max(float(own_range.highest) for own_range in ranges),
         )
         if plant == "model":
             driven = ModelPlant.of(

@@ -155,7 +155,7 @@ class Axis(eqx.Module):
 
         Args:
             speed: size of the speed.
-            displacement: mm.
+            displacement: of the piston.
         """
         reachable = jnp.minimum(speed, REACHABLE * self.fastest(displacement))
         current = command_for_speed(self.model.benchmark, reachable[None], self.model.dead_zone, displacement)

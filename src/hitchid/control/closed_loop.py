@@ -26,12 +26,12 @@ class PositionController(Protocol):
     plain numbers.
     """
 
-    def initial_state(self, displacement_mm: object, /) -> object:
-        """Return the state of a hitch that is held at a displacement, mm."""
+    def initial_state(self, displacement: object, /) -> object:
+        """Return the state of a hitch that is held at a displacement."""
         ...
 
-    def step(self, state: object, target_mm: object, measured_mm: object, /) -> tuple[object, object]:
-        """Return the next state, and lifting and lowering current, A; a lost measurement is NaN."""
+    def step(self, state: object, target: object, measured: object, /) -> tuple[object, object]:
+        """Return the next state, and lifting and lowering command; a lost measurement is NaN."""
         ...
 
 
@@ -85,21 +85,21 @@ class ClosedLoops(NamedTuple):
     """Signals of closed loops at 10 ms.
 
     Attributes:
-        target_mm: shape [N].
-        displacement_mm: true, shape [T, N].
-        measured_mm: shape [T, N].
-        currents_a: over the sample that follows, lifting and lowering, A, shape [T, N, 2].
+        target: shape [N].
+        displacement: true, shape [T, N].
+        measured: shape [T, N].
+        commands: over the sample that follows, lifting and lowering, shape [T, N, 2].
     """
 
-    target_mm: Float[np.ndarray, " n"]
-    displacement_mm: Float[np.ndarray, "t n"]
-    measured_mm: Float[np.ndarray, "t n"]
-    currents_a: Float[np.ndarray, "t n 2"]
+    target: Float[np.ndarray, " n"]
+    displacement: Float[np.ndarray, "t n"]
+    measured: Float[np.ndarray, "t n"]
+    commands: Float[np.ndarray, "t n 2"]
 
     @property
     def time_s(self) -> Float[np.ndarray, " n"]:
         """Time since the start, s."""
-        return SAMPLE_S * np.arange(self.target_mm.size)
+        return SAMPLE_S * np.arange(self.target.size)
 
 
 class _Sample(NamedTuple):

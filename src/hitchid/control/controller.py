@@ -16,10 +16,10 @@ from hitchid.control.reference import Reference, ReferenceLimits
 
 Scalar = Float[Array, ""]
 TARGET_SPEED_S = 0.05  # s, time constant of the speed of a moving target; chosen: five samples
-SMOOTHING_S = 0.2  # s, time constant of the smoothed position; chosen: a sixth of the noise is left
-# s, for which a held hitch that was moved back is moved again only beyond so many outer windows, so that a
-# leak costs one valve action in this time; chosen.
-REST_S, RESTLESS = 10.0, 2.0
+SMOOTHING_S = 0.2  # s, time constant of the smoothed position; chosen: a quarter of the noise is left
+# The outer window doubles where a held hitch has to be moved back, and halves in so many s, up to a factor:
+# a leak, or a valve whose smallest pulse is wider than the window, costs one action in this time; chosen.
+REST_S, WIDEST = 20.0, 4.0
 STILL_SHARE = 0.003  # of the largest speed; a target that moves less stands still; chosen
 
 
@@ -62,8 +62,9 @@ class ControllerState(NamedTuple):
         reference: shaped reference.
         integral: speed that the integral part asks for.
         is_holding: whether the hitch is held with closed valves.
-        rest_s: since a held hitch was last moved back to its target, at most `REST_S`.
+        widening: factor on the outer window, from one to `WIDEST`.
         smoothed: predicted position without most of its noise.
+        drift: speed of the smoothed position beyond the predicted one.
         measured: last valid measurement.
         is_lost: whether the last measurement was missing.
         target: last valid target.
@@ -75,8 +76,9 @@ class ControllerState(NamedTuple):
     reference: Reference
     integral: Scalar
     is_holding: Bool[Array, ""]
-    rest_s: Scalar
+    widening: Scalar
     smoothed: Scalar
+    drift: Scalar
     measured: Scalar
     is_lost: Bool[Array, ""]
     target: Scalar
@@ -98,14 +100,15 @@ class HitchController(eqx.Module):
 
     The current of the direction of v is the inverse of its identified opening curve at the speed v; the other
     is zero. Below the crossing speed the current falls to zero in proportion. The integral stops where the
-    current is limited. A hitch that is to stand is held with closed valves until its error leaves a window.
+    current is limited. A hitch that is to stand is held with closed valves until its error, smoothed by an
+    observer of position and speed, leaves a window, which widens each time.
     Without a measurement both currents are zero; when it returns, the reference starts from there.
 
     Attributes:
         axes: models of lifting and lowering.
         gains: of lifting and lowering.
         deceleration: of the reference, lifting and lowering, shape [2].
-        speed_share: largest speed of the reference over that of the largest current.
+        speed_share: largest speed of a target that is followed over that of the largest current.
         lags_s: τ of lifting and lowering, s, shape [2].
         crossing_speed: speed of lifting and lowering below which the current falls to zero, shape [2].
         hold: window.
@@ -137,8 +140,9 @@ class HitchController(eqx.Module):
             reference=Reference.at_rest(start),
             integral=zero,
             is_holding=jnp.asarray(True),
-            rest_s=jnp.asarray(REST_S),
+            widening=jnp.ones(()),
             smoothed=start,
+            drift=zero,
             measured=start,
             is_lost=no,
             target=start,
@@ -162,7 +166,7 @@ class HitchController(eqx.Module):
     def limits_at(self, displacement: Scalar) -> ReferenceLimits:
         """Return the limits of the reference at a displacement."""
         fastest = jnp.stack([axis.fastest(displacement) for axis in self.axes])
-        return ReferenceLimits(self.speed_share * fastest, self.lags_s, self.deceleration)
+        return ReferenceLimits(self.speed_share * fastest, self.deceleration)
 
     @double_precision
     def at_load(self, load: Mapping[str, float]) -> "HitchController":
@@ -200,11 +204,14 @@ def _step(
     start = jax.tree.map(
         lambda now, anew: jnp.where(restarts, anew, now), state.reference, Reference.at_rest(predicted)
     )
-    reference = limits.step(
-        start, _led_target(controller, target, target_speed), target_speed, controller.step_s
-    )
-    smoothed = state.smoothed + controller.step_s / SMOOTHING_S * (predicted - state.smoothed)
-    smoothed = jnp.where(restarts, predicted, smoothed)
+    led = _led_target(controller, target, target_speed)
+    # A hitch that is faster than its model takes the reference with it, so that it brakes in time.
+    taken = jnp.clip(predicted, jnp.minimum(start.position, led), jnp.maximum(start.position, led))
+    reference = limits.step(start._replace(position=taken), led, target_speed, controller.step_s)
+    carried = state.smoothed + controller.step_s * (speed + state.drift)
+    share = controller.step_s / SMOOTHING_S
+    smoothed = jnp.where(restarts, predicted, carried + 2 * share * (predicted - carried))
+    drift = jnp.where(restarts, 0.0, state.drift + share / SMOOTHING_S * (predicted - carried))
     error = reference.position - predicted
     integral = jnp.where(restarts, 0.0, state.integral)
     integral, wanted, error = _wanted_speed(
@@ -213,12 +220,10 @@ def _step(
     reference = reference._replace(position=predicted + error)
     currents = _currents(controller, state.commands, wanted, position)
     still = STILL_SHARE * jnp.min(limits.speed)
-    stands = (jnp.abs(state.target_speed) < still) & (target == state.target)
+    stands = (jnp.abs(state.target_speed) < still) & (target == state.target) & ~is_lost
     stops = jnp.any(state.commands > 0) & ~jnp.any(currents > 0)
-    is_holding = stands & _is_near(controller, state, reference, target, smoothed, speed, stops) & ~is_lost
-    reopens = stands & state.is_holding & ~is_holding
-    rest_s = jnp.minimum(jnp.where(reopens, 0.0, state.rest_s + controller.step_s), REST_S)
-    rest_s = jnp.where(stands, rest_s, REST_S)
+    is_near = _is_near(controller, state, reference, target, smoothed, speed + drift, stops)
+    is_holding, widening = stands & is_near, _widening(state, stands, is_near, controller.step_s)
     closed = is_lost | is_holding
     integral = jnp.where(closed, 0.0, integral)
     currents = jnp.where(closed, 0.0, currents)
@@ -237,8 +242,9 @@ def _step(
         reference=reference,
         integral=integral,
         is_holding=is_holding,
-        rest_s=rest_s,
+        widening=widening,
         smoothed=smoothed,
+        drift=drift,
         measured=position,
         is_lost=is_lost,
         target=target,
@@ -249,7 +255,7 @@ def _step(
 
 
 def _target_speed(state: ControllerState, target: Scalar, limits: ReferenceLimits, step_s: float) -> Scalar:
-    """Return the smoothed speed of a moving target, mm/s; zero after a jump that is faster than the hitch."""
+    """Return the smoothed speed of a moving target; zero after a jump that is faster than the hitch."""
     change = (target - state.target) / step_s
     is_reachable = (change <= limits.speed[0]) & (change >= -limits.speed[1])
     share = step_s / TARGET_SPEED_S
@@ -278,11 +284,18 @@ def _is_near(
     coasting = speed * jnp.where(speed > 0, *controller.lags_s)
     error = jnp.abs(target - smoothed - coasting)
     arrived = jnp.abs(reference.position - target) < hold.inner
-    restless = state.rest_s < REST_S
-    held = jnp.where(restless, RESTLESS * hold.outer, hold.outer)
-    landing = jnp.where(stops & restless, hold.outer, hold.inner)
-    window = jnp.where(state.is_holding, held, landing)
+    landing = jnp.where(stops, hold.outer, hold.inner)
+    window = jnp.where(state.is_holding, state.widening * hold.outer, landing)
     return (state.is_holding | arrived) & (error < window)
+
+
+def _widening(
+    state: ControllerState, stands: Bool[Array, ""], is_near: Bool[Array, ""], step_s: float
+) -> Scalar:
+    """Return the factor on the outer window: twice that before where a held hitch has to be moved back."""
+    narrowed = jnp.maximum(1.0, 0.5 ** (step_s / REST_S) * state.widening)
+    doubled = jnp.minimum(2.0 * state.widening, WIDEST)
+    return jnp.where(stands, jnp.where(state.is_holding & ~is_near, doubled, narrowed), 1.0)
 
 
 def _wanted_speed(

@@ -70,7 +70,7 @@ class Drive:
     @property
     def draws(self) -> int:
         """Closed loops of a scenario."""
-        return len(next(iter(self.loops[TESTED].values())).displacement_mm)
+        return len(next(iter(self.loops[TESTED].values())).displacement)
 
     @property
     def iae_ratios(self) -> dict[str, float]:
@@ -85,15 +85,15 @@ class Drive:
         ratios = {}
         for name, scenario in self.scenarios.items():
             if scenario.kind in (Kind.LOAD_CHANGE, Kind.COLD_OIL):
-                nominal = own[step_name(scenario.amplitude_mm)].iae_mm_s
-                ratios[name] = own[name].iae_mm_s / nominal
+                nominal = own[step_name(scenario.amplitude)].iae
+                ratios[name] = own[name].iae / nominal
         return ratios
 
     @property
     def inside_band(self) -> dict[str, float]:
         """Scenario to the share of its loops that are inside the predicted band; see `INSIDE_SHARE`."""
         return {
-            name: float(np.mean(band.contains(self.loops[TESTED][name].measured_mm) >= INSIDE_SHARE))
+            name: float(np.mean(band.contains(self.loops[TESTED][name].measured) >= INSIDE_SHARE))
             for name, band in self.bands.items()
         }
 
@@ -102,19 +102,19 @@ class Drive:
         """All figures as content for JSON."""
         own = self.figures[TESTED]
         steps = {
-            f"{scenario.amplitude_mm:g}": {
-                "overshoot": own[name].overshoot_mm,
+            f"{scenario.amplitude:g}": {
+                "overshoot": own[name].overshoot,
                 "settling_s": _finite(own[name].settling_s),
                 "t_min_s": _finite(self.least_times_s.get(name)),
-                "final_error": own[name].final_error_mm,
-                "iae": own[name].iae_mm_s,
+                "final_error": own[name].final_error,
+                "iae": own[name].iae,
             }
             for name, scenario in self.scenarios.items()
             if scenario.kind is Kind.STEP
         }
         by_kind = {scenario.kind: own[name] for name, scenario in self.scenarios.items()}
         lost = by_kind[Kind.SENSOR_LOST]
-        ramps = [own[name].rmse_mm for name, scenario in self.scenarios.items() if scenario.kind is Kind.RAMP]
+        ramps = [own[name].rmse for name, scenario in self.scenarios.items() if scenario.kind is Kind.RAMP]
         inside, ploughing = self.inside_band, by_kind.get(Kind.PLOUGHING)
         return {
             "unit": self.unit,
@@ -122,16 +122,16 @@ class Drive:
             "steps": steps,
             "hold": {
                 "valve_actions_per_10_s": by_kind[Kind.HOLD].valve_actions_per_10_s,
-                "rmse": by_kind[Kind.HOLD].rmse_mm,
+                "rmse": by_kind[Kind.HOLD].rmse,
             },
             "both_valves_samples": sum(each.both_valves_samples for each in own.values()),
-            "sine": {"rmse": by_kind[Kind.SINE].rmse_mm},
+            "sine": {"rmse": by_kind[Kind.SINE].rmse},
             "ramps": {"rmse": max(ramps)},
-            **({"ploughing": {"rmse": ploughing.rmse_mm}} if ploughing is not None else {}),
+            **({"ploughing": {"rmse": ploughing.rmse}} if ploughing is not None else {}),
             "changes": self.changed_ratios,
             "sensor_lost": {
                 "samples_until_closed": lost.samples_until_closed,
-                "final_error": lost.final_error_mm,
+                "final_error": lost.final_error,
             },
             "diverged": sum(each.diverged for each in own.values()),
             "band": {"inside": float(np.mean(list(inside.values()))), "scenarios": inside}
@@ -140,7 +140,7 @@ class Drive:
             "iae_ratio": self.iae_ratios["all"],
             "iae_ratios": self.iae_ratios,
             "iae": {
-                controller: {name: each.iae_mm_s for name, each in figures.items()}
+                controller: {name: each.iae for name, each in figures.items()}
                 for controller, figures in self.figures.items()
             },
         }
@@ -202,8 +202,8 @@ def drive(
                     each,
                     rig,
                     seed,
-                    scenario.target_mm,
-                    start=scenario.start_mm,
+                    scenario.target,
+                    start=scenario.start,
                     loops=draws,
                     sensor_lost=scenario.surroundings.sensor_lost,
                 )
@@ -223,8 +223,8 @@ def drive(
                 each,
                 rig,
                 jax.random.key(seed),
-                scenario.target_mm,
-                start_mm=scenario.start_mm,
+                scenario.target,
+                start_mm=scenario.start,
                 implement_factors=factors,
                 surroundings=scenario.surroundings,
             )
@@ -275,9 +275,9 @@ def _bands(
                 controller,
                 hitches,
                 key,
-                scenario.target_mm,
-                start_mm=scenario.start_mm,
-                measured_start_mm=measured_at_rest(rig, key, scenario.start_mm, READINGS),
+                scenario.target,
+                start=scenario.start,
+                measured_start=measured_at_rest(rig, key, scenario.start, READINGS),
             )
             bands[scenario.name] = band_of(runs)
     return bands

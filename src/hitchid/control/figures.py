@@ -21,22 +21,22 @@ class Figures(NamedTuple):
     """Figures of one controller in one scenario; the worst of 95 % of the loops.
 
     Attributes:
-        iae_mm_s: ∫ abs(target − displacement) dt, the mean of the loops, mm·s.
-        rmse_mm: of the tracking.
-        overshoot_mm: beyond the end of a step; None without one.
+        iae: ∫ abs(target − displacement) dt, the mean of the loops.
+        rmse: of the tracking.
+        overshoot: beyond the end of a step; None without one.
         settling_s: until the displacement stays within the tolerance of a step; None without one.
-        final_error_mm: distance of the mean measured displacement of the last second to the target.
+        final_error: distance of the mean measured displacement of the last second to the target.
         valve_actions_per_10_s: how often a valve opens.
         both_valves_samples: samples of all loops with current in both valves.
         samples_until_closed: samples with current after the sensor was lost, the longest; None otherwise.
         diverged: loops with a displacement that is not finite.
     """
 
-    iae_mm_s: float
-    rmse_mm: float
-    overshoot_mm: float | None
+    iae: float
+    rmse: float
+    overshoot: float | None
     settling_s: float | None
-    final_error_mm: float
+    final_error: float
     valve_actions_per_10_s: float
     both_valves_samples: int
     samples_until_closed: int | None
@@ -46,21 +46,21 @@ class Figures(NamedTuple):
     def of(cls, scenario: Scenario, loops: ClosedLoops) -> "Figures":
         """Return the figures of closed loops in a scenario."""
         begin = scenario.begin
-        errors = (loops.displacement_mm - scenario.target_mm)[:, begin:]
-        final = loops.measured_mm[:, -round(FINAL_S / SAMPLE_S) :] - scenario.target_mm[-1]
-        on = loops.currents_a > ON_A
+        errors = (loops.displacement - scenario.target)[:, begin:]
+        final = loops.measured[:, -round(FINAL_S / SAMPLE_S) :] - scenario.target[-1]
+        on = loops.commands > ON_A
         opened = np.sum(np.diff(on.astype(int), axis=1) > 0, axis=(1, 2))
-        duration_s = SAMPLE_S * scenario.target_mm.size
+        duration_s = SAMPLE_S * scenario.target.size
         return cls(
-            iae_mm_s=float(np.mean(_iae(errors))),
-            rmse_mm=_worst(np.sqrt(np.mean(errors**2, axis=1))),
-            overshoot_mm=_overshoot(scenario, errors),
+            iae=float(np.mean(_iae(errors))),
+            rmse=_worst(np.sqrt(np.mean(errors**2, axis=1))),
+            overshoot=_overshoot(scenario, errors),
             settling_s=_settling_s(scenario, errors),
-            final_error_mm=_worst(np.abs(np.nanmean(final, axis=1))),
+            final_error=_worst(np.abs(np.nanmean(final, axis=1))),
             valve_actions_per_10_s=_worst(10 * opened / duration_s),
             both_valves_samples=int(np.sum(np.all(on, axis=-1))),
             samples_until_closed=_samples_until_closed(scenario, on),
-            diverged=int(np.sum(~np.isfinite(loops.displacement_mm).all(axis=1))),
+            diverged=int(np.sum(~np.isfinite(loops.displacement).all(axis=1))),
         )
 
 
@@ -78,11 +78,7 @@ def iae_ratios(
     """
     ratios = {}
     for kind in (Kind.STEP, Kind.RAMP, Kind.SINE):
-        logs = [
-            np.log(figures[name].iae_mm_s / baseline[name].iae_mm_s)
-            for name, own in kinds.items()
-            if own is kind
-        ]
+        logs = [np.log(figures[name].iae / baseline[name].iae) for name, own in kinds.items() if own is kind]
         ratios[kind.value] = float(np.exp(np.mean(logs)))
     return {"all": float(np.exp(np.mean(np.log(list(ratios.values()))))), **ratios}
 
@@ -96,15 +92,15 @@ def _iae(errors: Float[np.ndarray, "t n"]) -> Float[np.ndarray, " t"]:
 
 
 def _overshoot(scenario: Scenario, errors: Float[np.ndarray, "t n"]) -> float | None:
-    if not scenario.amplitude_mm:
+    if not scenario.amplitude:
         return None
-    beyond = np.sign(scenario.amplitude_mm) * errors
+    beyond = np.sign(scenario.amplitude) * errors
     return _worst(np.maximum(beyond.max(axis=1), 0.0))
 
 
 def _settling_s(scenario: Scenario, errors: Float[np.ndarray, "t n"]) -> float | None:
     """Return the time after which no displacement is outside the tolerance; infinite at the end of a run."""
-    if not scenario.amplitude_mm:
+    if not scenario.amplitude:
         return None
     outside = ~(np.abs(errors) <= scenario.tolerance)
     last = errors.shape[1] - np.argmax(outside[:, ::-1], axis=1)

@@ -12,18 +12,18 @@ from hitchid.control.controller import Gains
 from hitchid.structures import SmallSignal
 from hitchid.structures.discretisation import discretise_delayed
 
-FREQUENCIES = 400  # of a loop, up to half the sampling frequency; chosen
-LOWEST_RAD_S = 0.05  # rad/s, below any crossing of a loop that settles within a minute; chosen
+FREQUENCIES = 460  # of a loop, up to half the sampling frequency; chosen
+LOWEST_RAD_S = 0.01  # rad/s, below any crossing of a loop that settles within a minute; chosen
 
 
 @short_repr
 class PlantResponse(NamedTuple):
-    """Response from current to displacement over frequency, mm/A, exact for a current held between samples.
+    """Response from current to displacement over frequency, exact for a current held between samples.
 
     Attributes:
         undelayed: without the dead time, shape [..., F].
         delay: of the dead time, shape [..., F].
-        speed_gain: steady speed over current, mm/(s·A), shape [...].
+        speed_gain: steady speed over current, shape [...].
     """
 
     undelayed: Complex[np.ndarray, "*s f"]

@@ -22,14 +22,14 @@ class PidState(NamedTuple):
     """State of a PID controller.
 
     Attributes:
-        integral_a: lifting positive.
-        error_mm: of the sample before, filtered.
-        measured_mm: last valid measurement.
+        integral: lifting positive.
+        error: of the sample before, filtered.
+        measured: last valid measurement.
     """
 
-    integral_a: Scalar
-    error_mm: Scalar
-    measured_mm: Scalar
+    integral: Scalar
+    error: Scalar
+    measured: Scalar
 
 
 @short_repr
@@ -39,10 +39,10 @@ class PidController(eqx.Module):
     The integral stops while the current is limited.
 
     Attributes:
-        proportional: K_p of lifting and lowering, A/mm, shape [2].
+        proportional: K_p of lifting and lowering, shape [2].
         integral_s: T_i, s, shape [2].
         derivative_s: T_d, s, shape [2].
-        offset_a: added to a current that is not zero, shape [2]: the dead zone where it is compensated.
+        offset: added to a current that is not zero, shape [2]: the dead zone where it is compensated.
         largest_command: of each current, shape [2].
         step_s: sampling time, s.
     """
@@ -50,22 +50,22 @@ class PidController(eqx.Module):
     proportional: Float[Array, "2"]
     integral_s: Float[Array, "2"]
     derivative_s: Float[Array, "2"]
-    offset_a: Float[Array, "2"]
+    offset: Float[Array, "2"]
     largest_command: Float[Array, "2"]
     step_s: float = eqx.field(static=True)
 
     @double_precision
-    def initial_state(self, displacement_mm: Scalar | float) -> PidState:
+    def initial_state(self, displacement: Scalar | float) -> PidState:
         """Return the state of a hitch that is held at a displacement."""
         zero = jnp.zeros(())
-        return PidState(zero, zero, jnp.asarray(displacement_mm, jnp.float64))
+        return PidState(zero, zero, jnp.asarray(displacement, jnp.float64))
 
     @double_precision
     def step(
-        self, state: PidState, target_mm: Scalar | float, measured_mm: Scalar | float
+        self, state: PidState, target: Scalar | float, measured: Scalar | float
     ) -> tuple[PidState, Float[Array, "2"]]:
         """Return the next state, and lifting and lowering current, shape [2]; zero without measurement."""
-        target, measured = jnp.asarray(target_mm, jnp.float64), jnp.asarray(measured_mm, jnp.float64)
+        target, measured = jnp.asarray(target, jnp.float64), jnp.asarray(measured, jnp.float64)
         return _step(self, state, target, measured)
 
 
@@ -74,20 +74,20 @@ def _step(
     controller: PidController, state: PidState, target: Scalar, measured: Scalar
 ) -> tuple[PidState, Float[Array, "2"]]:
     is_lost = ~jnp.isfinite(measured)
-    position = jnp.where(is_lost, state.measured_mm, measured)
+    position = jnp.where(is_lost, state.measured, measured)
     error = target - position
     number = jnp.where(error >= 0, 0, 1)
     gain, derivative_s = controller.proportional[number], controller.derivative_s[number]
     share = controller.step_s / (DERIVATIVE_FILTER * derivative_s + controller.step_s)
-    filtered = state.error_mm + share * (error - state.error_mm)
-    rate = (filtered - state.error_mm) / controller.step_s
-    integrated = state.integral_a + controller.step_s * gain / controller.integral_s[number] * error
+    filtered = state.error + share * (error - state.error)
+    rate = (filtered - state.error) / controller.step_s
+    integrated = state.integral + controller.step_s * gain / controller.integral_s[number] * error
     direct = gain * (error + derivative_s * rate)
     signed = direct + integrated
     sizes = jnp.stack([signed, -signed])
-    currents = jnp.where(sizes > 0, sizes + controller.offset_a, 0.0)
+    currents = jnp.where(sizes > 0, sizes + controller.offset, 0.0)
     is_limited = jnp.any(currents > controller.largest_command) & (jnp.sign(error) == jnp.sign(signed))
-    integral = jnp.where(is_limited, state.integral_a, integrated)
+    integral = jnp.where(is_limited, state.integral, integrated)
     currents = jnp.where(is_lost, 0.0, jnp.minimum(currents, controller.largest_command))
     integral = jnp.where(is_lost, 0.0, integral)
     return PidState(integral, filtered, position), currents
@@ -122,13 +122,13 @@ def baselines(controller: HitchController) -> dict[str, PidController]:
     )
     return {
         "SIMC PI": simc,
-        COMPENSATED: eqx.tree_at(lambda c: c.offset_a, simc, dead_zones),
+        COMPENSATED: eqx.tree_at(lambda c: c.offset, simc, dead_zones),
         "fixed PID": fixed,
     }
 
 
 def _simc(controller: HitchController, number: int) -> tuple[Scalar, Scalar, Scalar]:
-    """Return K, mm/(s·A), τ and θ, s; half a sample of the hold belongs to the dead time."""
+    """Return K, τ and θ, the latter in s; half a sample of the hold belongs to the dead time."""
     axis = controller.axes[number]
     nonlinearity = axis.model.benchmark.nonlinearity
     place = jnp.zeros(()) if nonlinearity is None else nonlinearity.scales.centre

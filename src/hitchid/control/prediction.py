@@ -50,15 +50,15 @@ class Band(NamedTuple):
     """Band that holds whole runs: mean ± k standard deviations over runs on drawn models.
 
     Attributes:
-        lower, upper: of the measured displacement, mm, shape [N].
+        lower, upper: of the measured displacement, shape [N].
     """
 
     lower: Float[np.ndarray, " n"]
     upper: Float[np.ndarray, " n"]
 
-    def contains(self, measured_mm: Float[np.ndarray, "*t n"]) -> Float[np.ndarray, "*t"]:
+    def contains(self, measured: Float[np.ndarray, "*t n"]) -> Float[np.ndarray, "*t"]:
         """Return the share of samples of each run inside the band."""
-        return np.asarray(np.mean((measured_mm >= self.lower) & (measured_mm <= self.upper), axis=-1))
+        return np.asarray(np.mean((measured >= self.lower) & (measured <= self.upper), axis=-1))
 
 
 class _State(NamedTuple):
@@ -135,12 +135,12 @@ def run_on_model(
     controller: HitchController,
     hitches: DrawnHitch,
     key: PRNGKeyArray,
-    target_mm: Float[np.ndarray, " n"],
+    target: Float[np.ndarray, " n"],
     *,
-    start_mm: float,
-    measured_start_mm: float | None = None,
+    start: float,
+    measured_start: float | None = None,
 ) -> Float[np.ndarray, "s n"]:
-    """Return the measured displacement of closed loops on drawn models, mm, shape [S, N].
+    """Return the measured displacement of closed loops on drawn models, shape [S, N].
 
     Each run has a load of its own, which makes a stroke faster or slower, transients and sensor noise, as
     `LoadFilter` has them.
@@ -149,15 +149,15 @@ def run_on_model(
         controller: from target and measurement to currents.
         hitches: S of them.
         key: random key.
-        target_mm: of all runs, shape [N].
-        start_mm: displacement at which the hitch is held at first, as the controller is told.
-        measured_start_mm: the same as the sensor measures it; by default they are equal.
+        target: of all runs, shape [N].
+        start: displacement at which the hitch is held at first, as the controller is told.
+        measured_start: the same as the sensor measures it; by default they are equal.
     """
-    measured_mm = start_mm if measured_start_mm is None else measured_start_mm
+    measured = start if measured_start is None else measured_start
     keys = jax.random.split(key, hitches.drift.size)
-    samples = target_mm.size
-    padded = np.pad(target_mm, (0, -samples % CHUNK), mode="edge")
-    carry = jax.vmap(lambda hitch, own: _start(controller, hitch, own, start_mm, measured_mm))(hitches, keys)
+    samples = target.size
+    padded = np.pad(target, (0, -samples % CHUNK), mode="edge")
+    carry = jax.vmap(lambda hitch, own: _start(controller, hitch, own, start, measured))(hitches, keys)
     chunks = []
     for part in padded.reshape(-1, CHUNK):
         carry, rows = _run_chunk(controller, hitches, carry, jnp.asarray(part))
@@ -178,9 +178,9 @@ def band_of(runs: Float[np.ndarray, "s n"]) -> Band:
 
 
 def _start(
-    controller: HitchController, hitch: DrawnHitch, key: PRNGKeyArray, start_mm: float, measured_mm: float
+    controller: HitchController, hitch: DrawnHitch, key: PRNGKeyArray, start: float, measured: float
 ) -> tuple[_State, ControllerState]:
-    return _at_rest(hitch, key, jnp.asarray(measured_mm)), controller.initial_state(start_mm)
+    return _at_rest(hitch, key, jnp.asarray(measured)), controller.initial_state(start)
 
 
 def _at_rest(hitch: DrawnHitch, key: PRNGKeyArray, displacement: Array) -> _State:

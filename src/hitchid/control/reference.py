@@ -16,7 +16,7 @@ class Reference(NamedTuple):
     """Where the hitch should be.
 
     Attributes:
-        position: mm.
+        position: of the hitch.
         speed: its speed.
         acceleration: over the sample before.
     """
@@ -36,25 +36,23 @@ class ReferenceLimits(eqx.Module):
     """Limits of the reference, each for lifting and lowering, shape [2].
 
     Attributes:
-        speed: v̂, largest.
-        lag_s: τ of the hitch; a speed grows as that of the hitch at the largest current, v̇ = (v̂ − v)/τ.
+        speed: v̂, largest of the hitch; the reference may be faster, but accelerates within it only.
         deceleration: of a speed that falls.
     """
 
     speed: Float[Array, "2"]
-    lag_s: Float[Array, "2"]
     deceleration: Float[Array, "2"]
 
     def step(self, reference: Reference, target: Scalar, target_speed: Scalar, step_s: float) -> Reference:
         """Return the reference one sample later, on the fastest way to a target that moves at a speed.
 
-        With the distance e to the target and the deceleration a, the speed beyond that of the target is at
-        most v = −a h/2 + √((a h/2)² + 2 a abs(e)), from which a deceleration that changes every h stops
-        there, and at most abs(e)/h, with which it is reached in this sample; it is passed by a h²/8 at most.
+        With the distance e to the target and the deceleration a, the speed beyond that of the target is
+        v = −a h/2 + √((a h/2)² + 2 a abs(e)), from which a deceleration that changes every h stops there, and
+        at most abs(e)/h, with which it is reached in this sample. Far away it asks for the largest current.
 
         Args:
             reference: now.
-            target: mm.
+            target: of the position.
             target_speed: of the target.
             step_s: sampling time h, s.
         """
@@ -65,12 +63,8 @@ class ReferenceLimits(eqx.Module):
         closing = jnp.minimum(
             jnp.sqrt(half**2 + 2 * braking * jnp.abs(distance)) - half, jnp.abs(distance) / step_s
         )
-        wanted = jnp.clip(target_speed + jnp.sign(distance) * closing, -self.speed[1], self.speed[0])
-        moving_up = jnp.where(reference.speed == 0, wanted > 0, reference.speed > 0)
-        left = jnp.maximum(jnp.where(moving_up, *self.speed) - jnp.abs(reference.speed), 0.0)
-        rise = left * step_s / jnp.maximum(jnp.where(moving_up, *self.lag_s), step_s)
-        fall = jnp.where(moving_up, *self.deceleration) * step_s
-        change = wanted - reference.speed
-        change = jnp.where(moving_up, jnp.clip(change, -fall, rise), jnp.clip(change, -rise, fall))
-        speed = reference.speed + change
-        return Reference(reference.position + step_s * speed, speed, (speed - reference.speed) / step_s)
+        speed = target_speed + jnp.sign(distance) * closing
+        within = [jnp.clip(each, -self.speed[1], self.speed[0]) for each in (reference.speed, speed)]
+        limit = jnp.where(jnp.where(speed == 0, reference.speed, speed) > 0, *self.deceleration)
+        acceleration = jnp.clip((within[1] - within[0]) / step_s, -limit, limit)
+        return Reference(reference.position + step_s * speed, speed, acceleration)

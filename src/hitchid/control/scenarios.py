@@ -52,21 +52,21 @@ class Scenario:
     Attributes:
         name: unique.
         kind: of its figures.
-        target_mm: shape [N].
-        start_mm: displacement at which the hitch is held at first.
+        target: shape [N].
+        start: displacement at which the hitch is held at first.
         begin: sample at which the figures begin.
         surroundings: what acts on the bench.
-        amplitude_mm: of a step, signed.
+        amplitude: of a step, signed.
         tolerance: within which a step has settled.
     """
 
     name: str
     kind: Kind
-    target_mm: Float[np.ndarray, " n"]
-    start_mm: float
+    target: Float[np.ndarray, " n"]
+    start: float
     begin: int = 0
     surroundings: Surroundings = field(default_factory=Surroundings)
-    amplitude_mm: float = 0.0
+    amplitude: float = 0.0
     tolerance: float = TOLERANCE_MM
 
 
@@ -126,9 +126,9 @@ def _one_digit(value: float) -> float:
     return float(f"{value:.0e}")
 
 
-def step_name(amplitude_mm: float, unit: str = "mm") -> str:
+def step_name(amplitude: float, unit: str = "mm") -> str:
     """Return the name of the scenario of a step."""
-    return f"step {amplitude_mm:+g} {unit}"
+    return f"step {amplitude:+g} {unit}"
 
 
 def least_time_s(rig: Rig, currents_a: Float[np.ndarray, "2"], scenario: Scenario) -> float:
@@ -139,12 +139,12 @@ def least_time_s(rig: Rig, currents_a: Float[np.ndarray, "2"], scenario: Scenari
         currents_a: largest lifting and lowering current, A, shape [2].
         scenario: a step.
     """
-    number = 0 if scenario.amplitude_mm > 0 else 1
-    currents = np.zeros((1, scenario.target_mm.size, 2))
+    number = 0 if scenario.amplitude > 0 else 1
+    currents = np.zeros((1, scenario.target.size, 2))
     currents[..., number] = currents_a[number]
-    motion = simulate(rig, currents, initial_displacement_m=1e-3 * scenario.start_mm)
-    travel_mm = 1e3 * np.abs(np.asarray(motion.displacement_m[0]) - 1e-3 * scenario.start_mm)
-    arrived = np.flatnonzero(travel_mm >= abs(scenario.amplitude_mm))
+    motion = simulate(rig, currents, initial_displacement_m=1e-3 * scenario.start)
+    travel_mm = 1e3 * np.abs(np.asarray(motion.displacement_m[0]) - 1e-3 * scenario.start)
+    arrived = np.flatnonzero(travel_mm >= abs(scenario.amplitude))
     return float(arrived[0] * SAMPLE_S) if arrived.size else float("inf")
 
 
@@ -158,7 +158,7 @@ def _step(middle: float, size: float, slowest_mm_s: float, unit: str = "mm") -> 
     target = np.concatenate([np.full(_count(BEFORE_S), start), np.full(way, start + size)])
     tolerance = SMALL_TOLERANCE_MM if abs(size) == STEPS_MM[0] else TOLERANCE_MM
     name = step_name(size, unit)
-    return Scenario(name, Kind.STEP, target, start, _count(BEFORE_S), amplitude_mm=size, tolerance=tolerance)
+    return Scenario(name, Kind.STEP, target, start, _count(BEFORE_S), amplitude=size, tolerance=tolerance)
 
 
 def _ramp(middle: float, speed: float, ramp_s: float, unit: str) -> Scenario:
@@ -191,7 +191,7 @@ def _changes(middle: float, slowest_mm_s: float) -> Iterator[Scenario]:
         for sign in (1, -1):
             step = _step(middle, sign * CHANGED_STEP_MM, slowest_mm_s)
             half_s = 0.5 * CHANGED_STEP_MM / slowest_mm_s
-            time_s = SAMPLE_S * (np.arange(step.target_mm.size) - step.begin) - half_s + 0.5 * LOAD_TAKEN_S
+            time_s = SAMPLE_S * (np.arange(step.target.size) - step.begin) - half_s + 0.5 * LOAD_TAKEN_S
             kg = before_kg + (after_kg - before_kg) * np.clip(time_s / LOAD_TAKEN_S, 0.0, 1.0)
             name = f"{before_kg:g} to {after_kg:g} kg, {step.name}"
             yield _changed(step, name, Kind.LOAD_CHANGE, Surroundings(implement_kg=kg))
@@ -206,7 +206,7 @@ def _changed(step: Scenario, name: str, kind: Kind, around: Surroundings) -> Sce
 
 def _wear(middle: float, slowest_mm_s: float) -> Scenario:
     step = _step(middle, STEPS_MM[1], slowest_mm_s)
-    grown = np.clip((SAMPLE_S * (np.arange(step.target_mm.size) - step.begin)) / WORN_S, 0.0, 1.0)
+    grown = np.clip((SAMPLE_S * (np.arange(step.target.size) - step.begin)) / WORN_S, 0.0, 1.0)
     around = Surroundings(
         leakage_factor=1.0 + (WORN_LEAKAGE - 1.0) * grown, dead_zone_change_a=WORN_DEAD_ZONE_A * grown
     )
@@ -214,6 +214,6 @@ def _wear(middle: float, slowest_mm_s: float) -> Scenario:
 
 
 def _sensor_lost(step: Scenario) -> Scenario:
-    time_s = SAMPLE_S * (np.arange(step.target_mm.size) - step.begin)
+    time_s = SAMPLE_S * (np.arange(step.target.size) - step.begin)
     lost = (time_s >= LOST_S) & (time_s < 2 * LOST_S)
     return _changed(step, "sensor lost", Kind.SENSOR_LOST, Surroundings(sensor_lost=lost))

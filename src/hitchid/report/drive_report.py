@@ -90,7 +90,7 @@ def drive_verdict(result: Drive, acceptance: Acceptance | None = None) -> tuple[
     """Return what the tables of the report mean, the worst first.
 
     Bad is a limit that failed, a loop that diverged, both valves on, and a step that does not settle or ends
-    outside its tolerance. A caution is a step with a larger IAE than SIMC PI with its dead zone compensated,
+    outside its tolerance. A caution is a run with a larger IAE than SIMC PI with its dead zone compensated,
     a held hitch with more than one valve action in ten seconds, and a bench outside the predicted band.
     """
     own, rival = result.figures[TESTED], result.figures[COMPENSATED]
@@ -106,12 +106,12 @@ def drive_verdict(result: Drive, acceptance: Acceptance | None = None) -> tuple[
         Finding(Rating.BAD if diverged else Rating.GOOD, f"{diverged} loops diverged."),
         Finding(Rating.BAD if both else Rating.GOOD, f"Both valves were on in {both} samples."),
     ]
-    steps = {name: scenario for name, scenario in result.scenarios.items() if scenario.amplitude_mm}
+    steps = {name: scenario for name, scenario in result.scenarios.items() if scenario.amplitude}
     restless = [name for name in steps if own[name].settling_s == np.inf]
     off = {
-        name: own[name].final_error_mm
+        name: own[name].final_error
         for name, scenario in steps.items()
-        if not own[name].final_error_mm <= scenario.tolerance
+        if not own[name].final_error <= scenario.tolerance
     }
     if restless:
         findings.append(Finding(Rating.BAD, f"Never settled: {'; '.join(restless)}."))
@@ -122,19 +122,19 @@ def drive_verdict(result: Drive, acceptance: Acceptance | None = None) -> tuple[
     if not restless and not off:
         findings.append(Finding(Rating.GOOD, f"All {len(steps)} steps settle and end within the tolerance."))
     ratios = {
-        name: own[name].iae_mm_s / rival[name].iae_mm_s
-        for name, scenario in steps.items()
-        if scenario.kind is Kind.STEP
+        name: own[name].iae / rival[name].iae
+        for name, scenario in result.scenarios.items()
+        if scenario.kind is not Kind.HOLD
     }
     slower = {name: ratio for name, ratio in ratios.items() if not ratio <= 1}
     if slower:
         worst = max(slower, key=lambda name: slower[name])
         text = (
-            f"The IAE of {len(slower)} of {len(ratios)} steps is larger than that of {COMPENSATED}, the most"
+            f"The IAE of {len(slower)} of {len(ratios)} runs is larger than that of {COMPENSATED}, the most"
         )
         findings.append(Finding(Rating.CAUTION, f"{text} in {worst}: {slower[worst]:.2f} times."))
     elif ratios:
-        text = f"The IAE of each step is at most {max(ratios.values()):.2f} times that of {COMPENSATED}."
+        text = f"The IAE of each run is at most {max(ratios.values()):.2f} times that of {COMPENSATED}."
         findings.append(Finding(Rating.GOOD, text))
     for name, scenario in result.scenarios.items():
         if scenario.kind is Kind.HOLD:
@@ -181,11 +181,11 @@ def _rows(result: Drive, controller: str) -> tuple[tuple[str, ...], ...]:
     return tuple(
         (
             _name(result, name),
-            f"{each.iae_mm_s:.2f}",
-            f"{each.rmse_mm:.2f}",
-            _cell(each.overshoot_mm),
+            f"{each.iae:.2f}",
+            f"{each.rmse:.2f}",
+            _cell(each.overshoot),
             _cell(each.settling_s),
-            f"{each.final_error_mm:.2f}",
+            f"{each.final_error:.2f}",
             f"{each.valve_actions_per_10_s:.1f}",
         )
         for name, each in result.figures[controller].items()
@@ -204,7 +204,7 @@ def _cell(value: float | None) -> str:
 def _comparison(result: Drive) -> Table:
     names = list(result.figures)
     rows = tuple(
-        (scenario, *(f"{result.figures[name][scenario].iae_mm_s:.2f}" for name in names))
+        (scenario, *(f"{result.figures[name][scenario].iae:.2f}" for name in names))
         for scenario in result.scenarios
     )
     return Table(f"IAE in {result.unit}·s, mean of the loops", ("scenario", *names), rows)
@@ -248,11 +248,11 @@ def _picture(result: Drive, name: str, scenario: Scenario) -> Picture:
         f"Displacement, its error and the currents over time, {name}.",
         data={
             "time_s": loops.time_s,
-            "target_mm": loops.target_mm,
-            "displacement_mm": loops.displacement_mm[0],
-            "measured_mm": loops.measured_mm[0],
-            "lifting_current_A": loops.currents_a[0, :, 0],
-            "lowering_current_A": loops.currents_a[0, :, 1],
+            f"target_{result.unit}": loops.target,
+            f"displacement_{result.unit}": loops.displacement[0],
+            f"measured_{result.unit}": loops.measured[0],
+            f"lifting_command_{result.command_unit}": loops.commands[0, :, 0],
+            f"lowering_command_{result.command_unit}": loops.commands[0, :, 1],
         },
     )
 
@@ -264,5 +264,10 @@ def _summary(result: Drive) -> Table:
 
 
 def _data_table(result: Drive, controller: str) -> DataTable:
-    rows = ({"scenario": name, **each._asdict()} for name, each in result.figures[controller].items())
+    unit = result.unit
+    lengths = {"iae": f"iae_{unit}_s"} | {n: f"{n}_{unit}" for n in ("rmse", "overshoot", "final_error")}
+    rows = (
+        {"scenario": name, **{lengths.get(key, key): value for key, value in each._asdict().items()}}
+        for name, each in result.figures[controller].items()
+    )
     return DataTable.of_rows(controller, rows)

@@ -23,7 +23,7 @@ def closed_loop(
     """Return displacement with the target, its error, and the currents of one loop, over time."""
     figure = Figure(figsize=(PAGE_IN, HEIGHT_IN))
     displacement, error, current = figure.subplots(3, 1, sharex=True, height_ratios=[2, 1.4, 1.2])
-    time_s, target = loops.time_s, scenario.target_mm
+    time_s, target = loops.time_s, scenario.target
     if band is not None:
         for axes, offset in ((displacement, 0.0), (error, target)):
             axes.fill_between(
@@ -35,13 +35,13 @@ def closed_loop(
                 linewidth=0,
                 label="predicted 90 %" if axes is displacement else None,
             )
-    for number, own in enumerate(loops.displacement_mm[:SHOWN]):
+    for number, own in enumerate(loops.displacement[:SHOWN]):
         label = "controller" if number == 0 else None
         displacement.plot(time_s, own, color=COLOURS["greybox"], linewidth=0.6, label=label)
         error.plot(time_s, own - target, color=COLOURS["greybox"], linewidth=0.6)
     displacement.plot(
         time_s,
-        baseline.displacement_mm[0],
+        baseline.displacement[0],
         color=COLOURS["benchmark"],
         dashes=(4, 1.5),
         linewidth=0.9,
@@ -49,7 +49,7 @@ def closed_loop(
     )
     error.plot(
         time_s,
-        baseline.displacement_mm[0] - target,
+        baseline.displacement[0] - target,
         color=COLOURS["benchmark"],
         dashes=(4, 1.5),
         linewidth=0.9,
@@ -58,14 +58,14 @@ def closed_loop(
     for number, (name, colour) in enumerate((("lifting", "one_step"), ("lowering", "transfer_function"))):
         current.plot(
             time_s,
-            loops.currents_a[0, :, number],
+            loops.commands[0, :, number],
             color=COLOURS[colour],
             linewidth=0.8,
             label=f"{name} current",
         )
     error.axhline(0.0, color=FAINT, linewidth=0.6)
-    beyond = np.abs(loops.displacement_mm[:SHOWN, scenario.begin :] - target[scenario.begin :])
-    if scenario.amplitude_mm:
+    beyond = np.abs(loops.displacement[:SHOWN, scenario.begin :] - target[scenario.begin :])
+    if scenario.amplitude:
         error.set_ylim(-1.5 * scenario.tolerance, 1.5 * scenario.tolerance)
     else:
         widest = max(1.3 * float(beyond.max()), 0.1 * scenario.tolerance)
