@@ -10,6 +10,7 @@ from scipy import stats
 
 from hitchid.data.record import LIFTING
 from hitchid.errors import FitError, InputError
+from hitchid.estimation import Search, SearchResult
 from hitchid.estimation.global_search.whale import WhaleConfig
 from hitchid.estimation.objective import GAIN_RIDGE, RIDGE_FLOOR, Objective, _per_test_gain_residuals
 from hitchid.identification import ModelSpec, MultiStart, Whale
@@ -93,6 +94,27 @@ def test_a_dead_time_is_found_again(batch_of, dead_samples):
     expected = {"gain": 15.0, "time_constant": 0.7, "dead_time": dead_samples * STEP_S}
     assert values(found) == pytest.approx(expected, rel=1e-6)
     assert found.benchmark.named_values() == pytest.approx(expected, rel=1e-6)
+
+
+class EndsInALocalMinimum(Search):
+    """A search that ends at a dead time of 0.25 s before hardly any lag, from where nothing descends."""
+
+    name = "ends in a local minimum"
+
+    def minimise(self, problem, seed, callback=None):
+        best = np.array([0.5, 0.95, 0.0, np.log(0.25 / 1e-4) / np.log(1.0 / 1e-4)])
+        return SearchResult(best, 1.0, 1, 0, "", np.ones(1), best[None])
+
+
+def test_a_dead_time_does_not_stand_for_the_lag_too(batch_of):
+    fraction = ([21.0], [0.15, 1.0, 0.0])
+    rng = np.random.default_rng(0)
+    commands = [np.repeat(rng.permutation([0.1, 1.0] * 5), 25) for _ in range(3)]
+    tests = [(command, held(*fraction, shifted(command, 8))) for command in commands]
+    found = identified(batch_of(tests), SECOND_ORDER, dead_time=True, search=EndsInALocalMinimum())
+    # The lag 2ξ/ω and the delay; a second-order lag at its bound of 1000 rad/s is a little less than one.
+    gain, omega, damping, dead_time = values(found).values()
+    assert (gain, 2 * damping / omega, dead_time) == pytest.approx((21.0, 0.15, 0.08), rel=0.01)
 
 
 def test_samples_at_an_end_stop_do_not_spoil_the_parameters(batch_of):
