@@ -3,6 +3,7 @@
 import csv
 import os
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 import hitchid
 from hitchid._support.notices import Severity
-from hitchid.fleet import identify_fleet, read_rows
+from hitchid.fleet import identify_fleet
 from hitchid.identification.settings_file import read_settings
 from hitchid.inspection import inspect, propose
 
@@ -62,7 +63,9 @@ def lift(case):
 def german(path):
     """Return the cells of a log with semicolons and decimal commas, by row, below its header."""
     lines = [line.split(";") for line in path.read_text(encoding="utf-8-sig").splitlines()]
-    return [[cell.replace(",", ".") for cell in row] for row in lines if len(row) == 3 and row[1][-1:].isdigit()]
+    return [
+        [cell.replace(",", ".") for cell in row] for row in lines if len(row) == 3 and row[1][-1:].isdigit()
+    ]
 
 
 # --- what is read -------------------------------------------------------------------------------------------
@@ -119,7 +122,9 @@ def test_blank_cells_leave_the_samples_that_were_measured(inspected, lift):
 
 def test_samples_that_mdf_calls_invalid_are_left_out_and_counted(inspected, lift):
     records, findings, _ = inspected("mdf-invalid-samples")
-    assert of_check(findings, "not measured").what.startswith("3 of 500 samples are left out, the first in sample 100")
+    assert of_check(findings, "not measured").what.startswith(
+        "3 of 500 samples are left out, the first in sample 100"
+    )
     # Interpolated over at most three samples of 0.01 s, at 48 mm/s.
     np.testing.assert_allclose(records["lift"].displacement, lift[3], rtol=0, atol=48 * 0.03)
     assert np.count_nonzero(np.abs(records["lift"].displacement - lift[3]) > PRINTED) <= 3
@@ -253,21 +258,95 @@ def check_stops(records, findings):
 # --- what is identified -------------------------------------------------------------------------------------
 
 
+# One plant, logged in several ways.
+BENCH = {
+    LIFTING: {"gain": 80.0, "dead_zone": 0.40, "time_constant": 0.12, "dead_time": 0.04},
+    LOWERING: {"gain": 110.0, "dead_zone": 0.35, "time_constant": 0.09, "dead_time": 0.04},
+}
+# The plant of the end stops was simulated in steps of 0.01 s, v += (0.01/0.15) (u - v), x += 0.01 v, and
+# logged after each step: it lags by -0.01/ln(1 - 0.01/0.15) s, and begins one and a half steps before 0.08 s.
+LAG_S, DELAY_S = 0.01 / -np.log(1 - 0.01 / 0.15), 0.08 - 0.015
+
+
 @pytest.fixture(scope="module")
-def estimated(case):
-    """Return a function that identifies the physics of cases by one configuration: case to estimates."""
+def traced(case):
+    """Return a function that identifies the physics of cases with one configuration: case to traces."""
 
     def identify(names, configuration):
-        settings = {**read_settings(Path(CASES) / configuration), "training": None, "rivals": None}
         campaigns = [hitchid.read(case(name)) for name in names]
+        settings = {**read_settings(case(names[0]).parent / configuration), "training": None, "rivals": None}
         results = hitchid.identify_many(campaigns, **settings, progress=False)
-        return dict(zip(names, map(estimates_of, results), strict=True))
+        return {name: result.channels for name, result in zip(names, results, strict=True)}
 
     return identify
 
 
-def estimates_of(identification):
-    """Return direction to name to estimate."""
-    return {
-        direction: {e.name: e for e in channel.parameters} for direction, channel in identification.channels.items()
+def check_truth(traces, truth, *, open_to=()):
+    """Check that every 95 % interval contains the truth, and that all are closed but for some names."""
+    for direction, values in truth.items():
+        assessment = traces[direction].phase1.assessment
+        found = {each.name: each for each in (*assessment.derived, *assessment.parameters)}
+        found["dead_zone"] = traces[direction].characteristics.dead_zone
+        for name, value in values.items():
+            lower, upper = found[name].interval
+            assert lower is None or lower <= value, (direction, name)
+            assert upper is None or value <= upper, (direction, name)
+            assert found[name].determined or name in open_to, (direction, name)
+
+
+@pytest.mark.long
+def test_what_is_left_out_leaves_the_plant(traced):
+    names = ("first-sample-zero", "two-rows-per-event", "held-sensor")
+    traces = traced(names, "quick.toml")
+    for name in names[:2]:
+        check_truth(traces[name], BENCH)
+    # A sensor that is updated each 0.1 s says little about a dead time of 0.04 s.
+    truth = {m: {k: v for k, v in values.items() if k != "time_constant"} for m, values in BENCH.items()}
+    check_truth(traces["held-sensor"], truth, open_to=("dead_time",))
+    for trace in traces["held-sensor"].values():
+        assert not {e.name: e.determined for e in trace.phase1.parameter_estimates}["dead_time"]
+
+
+@pytest.mark.long
+def test_a_slow_covariate_leaves_the_plant(traced):
+    truth = {direction: {**values, "gain": 14.0} for direction, values in BENCH.items()}
+    check_truth(traced(["slow-covariate"], "quick.toml")["slow-covariate"], truth)
+
+
+@pytest.mark.long
+def test_end_stops_under_two_levels_of_command_leave_the_plant(traced):
+    traces = traced(["end-stops-excel-dates"], "paper-forms.toml")["end-stops-excel-dates"]
+    truth = {
+        LIFTING: {"gain": 0.45, "dead_zone": 15.0, "lag 2ξh/ωh": LAG_S, "dead_time": DELAY_S},
+        LOWERING: {"gain": 0.60, "dead_zone": 12.0, "lag 2ξh/ωh": LAG_S, "dead_time": DELAY_S},
     }
+    check_truth(traces, truth, open_to=("dead_time", "lag 2ξh/ωh", "gain"))
+    gain = {e.name: e for e in traces[LIFTING].phase1.parameter_estimates}["gain"]
+    assert gain.determined
+
+
+@pytest.mark.long
+def test_end_stops_in_mixed_logs_leave_the_plant(traced):
+    traces = traced(["end-stops-mixed"], "quick.toml")["end-stops-mixed"]
+    truth = {
+        LIFTING: {"gain": 0.45 / 12, "dead_zone": 15 * 12, "time_constant": LAG_S, "dead_time": DELAY_S},
+        LOWERING: {"gain": 0.60 / 12, "dead_zone": 12 * 12, "time_constant": LAG_S, "dead_time": DELAY_S},
+    }
+    check_truth(traces, truth)
+
+
+@pytest.mark.long
+def test_machines_whose_names_are_patterns_have_rows_of_their_own(case, tmp_path):
+    (tmp_path / "logs").mkdir()
+    for name, source in {
+        "rig 1": "rig 1",
+        "rig [1]": "rig [1]",
+        "rig ?": "rig 1",
+        "rig *": "rig [1]",
+    }.items():
+        shutil.copytree(case("fleet-brackets") / source, tmp_path / "logs" / name)
+    settings = read_settings(case("fleet-brackets").parent / "tiny.toml")
+    rows = identify_fleet(str(tmp_path / "logs"), str(tmp_path / "rows"), settings=settings).rows
+    gains = {row.machine: row.directions[LIFTING].gain for row in rows}
+    # An integrator without the plant's lag and delay, 0.16 s in holds of a second or so: a tenth.
+    assert gains == pytest.approx({"rig 1": 40, "rig ?": 40, "rig [1]": 80, "rig *": 80}, rel=0.1)
