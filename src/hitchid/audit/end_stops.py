@@ -192,6 +192,22 @@ def _without_spikes(position: np.ndarray) -> float:
     return float(np.lib.stride_tricks.sliding_window_view(position, count).min(axis=1).max())
 
 
+def find_end_stops(context: CampaignContext) -> dict[str, EndStop]:
+    """Return direction to the end stop that its command drives the piston to, where logs meet one."""
+    stops = {}
+    for direction in DIRECTIONS:
+        driven = [test for test in context.tests if direction in test.record.directions]
+        ways = sum(travel(test, direction) for test in driven)
+        if not ways:
+            continue
+        sign = 1 if ways > 0 else -1
+        known = context.campaign.end_stop(sign)
+        stop = find_end_stop([test.record for test in driven], direction, sign, known)
+        if stop is not None:
+            stops[direction] = stop
+    return stops
+
+
 def end_stops(context: CampaignContext) -> list[AuditFinding]:
     """Find the logs that reach an end stop: a note, since identification leaves out samples at it.
 
@@ -199,15 +215,7 @@ def end_stops(context: CampaignContext) -> list[AuditFinding]:
     """
     findings, tests = [], {test.record.name: test for test in context.tests}
     unit = context.tests[0].quality.unit
-    for direction in DIRECTIONS:
-        driven = [test for test in context.tests if direction in test.record.directions]
-        ways = sum(travel(test, direction) for test in driven)
-        if not ways:
-            continue
-        known = context.campaign.end_stop(1 if ways > 0 else -1)
-        stop = find_end_stop([test.record for test in driven], direction, 1 if ways > 0 else -1, known)
-        if stop is None:
-            continue
+    for stop in find_end_stops(context).values():
         for name in stop.reached:
             test, stretches = tests[name], stop.standing.get(name, [])
             record = test.record

@@ -15,7 +15,7 @@ HOLD_ROLES = (SIGNED_COMMAND, *COMMAND.values())  # hold their last value betwee
 CLOCK_TOLERANCE_S = 1e-9  # s; rounding of time stamps
 SLOWEST_COMMAND = 10.0  # sampling times of the displacement; a slower command is held (chosen)
 ON_CHANGE_STEPS = 3.0  # of the displacement; a channel logged on change is rarer (chosen)
-# Of its intervals, above 1.5 times their median, or of the shortest, below it: no clock, even with gaps (chosen).
+# Of its intervals, longer or shorter than their median by a factor of 1.5: no clock, even with gaps (chosen).
 ON_CHANGE_QUANTILE = 0.9
 
 
