@@ -14,6 +14,7 @@ from hitchid.estimation import Search, SearchResult
 from hitchid.estimation.global_search.whale import WhaleConfig
 from hitchid.estimation.objective import GAIN_RIDGE, RIDGE_FLOOR, Objective, _per_test_gain_residuals
 from hitchid.identification import ModelSpec, MultiStart, Whale
+from hitchid.identification.direction import _within_update_interval
 from hitchid.identification.phase1 import identify_benchmark
 from hitchid.structures import Batch, structure_named
 from truth import STEP_S, held, lag, levels, second_order, shifted
@@ -94,6 +95,19 @@ def test_a_dead_time_is_found_again(batch_of, dead_samples):
     expected = {"gain": 15.0, "time_constant": 0.7, "dead_time": dead_samples * STEP_S}
     assert values(found) == pytest.approx(expected, rel=1e-6)
     assert found.benchmark.named_values() == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(("update_s", "determined"), [(0.02, True), (0.1, False)])
+def test_a_dead_time_may_be_shorter_by_the_interval_of_the_sensor(batch_of, update_s, determined):
+    found = identified(
+        batch_of(plants(lag(15.0, 0.7), dead_samples=12.4)), LAG, dead_time=True, search=MultiStart(600)
+    )
+    *others, widened = _within_update_interval(found, update_s).parameter_estimates
+    low, high = found.parameter_estimates[-1].interval
+    assert widened.interval == pytest.approx((low - update_s, high))
+    assert widened.determined == determined
+    assert determined or "the sensor is updated every 0.1 s, by which it may be shorter" in widened.verdict
+    assert tuple(others) == found.parameter_estimates[:-1]
 
 
 class EndsInALocalMinimum(Search):
