@@ -29,6 +29,7 @@ PERCENTILES = (2.5, 97.5)  # ends of a 95 % interval
 ASSESSMENT_SHARES = {"standard errors": 0.3, "intervals": 0.5, "derived": 0.2}  # of the work (measured)
 # Share of the largest derivative: below it an error of 0.1 % of the travel is wider than the bounds.
 MIN_RELATIVE_DERIVATIVE = 1e-5
+# Without a lag in the form, the dead time takes that of the plant, too.
 DELAY_AND_LAG = "delay and lag together: this form has no lag"
 
 
@@ -214,7 +215,6 @@ def _estimates(
     fallback_quantities = objective.spec.structure.fallback_quantity
     changes = sensitivities(objective, position)
     values, slopes = objective.values(position), objective.slopes(position)
-    # Without a lag in the form, the dead time takes that of the plant, too.
     dead_time_stands_for = "" if objective.spec.has_lag(values) else DELAY_AND_LAG
     estimates = []
     for result in results:
