@@ -134,3 +134,10 @@ def test_gaps_are_counted_with_what_is_lost(clean, changed, found):
     short = whole.slice(402, 1200, name="cut@2")
     (finding,) = found([first, short, *clean[1:]], "gaps")
     assert finding.severity is Severity.NOTE
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1000.0, "ms or us"), (0.001, "s"), (20.0, None), (0.1, None)])
+def test_a_time_in_another_unit_is_found(clean, changed, found, factor, unit):
+    records = [changed(record, step_s=factor * record.step_s) for record in clean]
+    said = [finding.what for finding in found(records, "units") if "the time is" in finding.what]
+    assert [text.rpartition(" in ")[2] for text in said] == ([] if unit is None else [unit])

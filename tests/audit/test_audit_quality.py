@@ -71,11 +71,27 @@ def test_noise_above_one_percent_of_the_range_is_found(make_test, found):
     assert "standard deviation of 2" in finding.what or "standard deviation of 1.9" in finding.what
 
 
-def test_a_sensor_read_less_often_than_logged_is_found(clean, changed, found):
-    held = np.repeat(clean[0].displacement[::10], 10)[: len(clean[0])]
-    (finding,) = found([changed(clean[0], signals={"displacement": held}), *clean[1:]], "sampling")
+@pytest.mark.parametrize("quantum", [None, 0.01])
+@pytest.mark.parametrize("period", [2.0, 2.5, 3.0, 10.0])
+def test_a_sensor_read_less_often_than_logged_is_found(clean, changed, found, period, quantum):
+    rows = (np.arange(len(clean[0])) // period * period).astype(int)
+    held = clean[0].displacement[rows]
+    held = held if quantum is None else quantum * np.round(held / quantum)
+    findings = found([changed(clean[0], signals={"displacement": held}), *clean[1:]], "sampling")
+    (finding,) = [finding for finding in findings if "updated" in finding.what]
     assert (finding.record, finding.severity) == ("lifting-1", Severity.WARNING)
-    assert "every 0.1 s" in finding.what
+    # Of a period of two and a half samples every second change comes after two, or after three.
+    said = float(finding.what.split("every ")[1].split()[0])
+    assert said == pytest.approx(0.01 * period, abs=0.005 if period % 1 else 1e-9)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.004, 0.05])
+@pytest.mark.parametrize("gain", [1.0, 10.0, 40.0])
+def test_rounding_of_slow_motion_is_no_slow_sensor(make_test, changed, found, gain, noise):
+    # At 0.02 mm a step, 1 mm/(s A) moves by 0.1 to 0.3 of it in a sample, 40 by 4 to 12 of them.
+    records = [make_test(f"l-{number}", gain=gain, noise=noise) for number in range(3)]
+    rounded = [changed(r, signals={"displacement": 0.02 * np.round(r.displacement / 0.02)}) for r in records]
+    assert not [finding for finding in found(rounded, "sampling") if "updated" in finding.what]
 
 
 def test_a_dead_band_of_the_sensor_is_found(make_test, changed, found):

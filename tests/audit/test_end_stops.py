@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hitchid.audit import audit, find_end_stop
+from hitchid.audit import Severity, audit, find_end_stop
 from hitchid.data.campaign import Campaign
 from hitchid.errors import InputError, SettingsError
 from hitchid.readers import read
@@ -127,3 +127,18 @@ def test_campaign_toml_says_the_stops_in_the_unit_of_its_displacement(tmp_path):
 def test_stops_that_are_no_range_are_refused_with_the_file(tmp_path, wrong):
     with pytest.raises(SettingsError, match=r"campaign\.toml: key 'end_stops"):
         read(write_log(tmp_path / "a", f"end_stops = {wrong}\n"))
+
+
+def test_a_piston_that_something_holds_before_its_end_is_found(clean, make_test, changed, found):
+    assert found(clean, "stall") == []
+    command = np.repeat([0.0, 0.6, 0.5, 0.0], 300)
+    held, free = make_test("held", command=command), make_test("free", command=command)
+    rng = np.random.default_rng(0)
+    limited = np.minimum(held.displacement, 25.0) + 0.05 * rng.standard_normal(len(held))
+    # At 0.6 A stands what 0.4 A moves in the others.
+    (finding,) = found([changed(held, signals={"displacement": limited}), free, *clean], "stall")
+    assert (finding.record, finding.severity) == ("held", Severity.WARNING)
+    stands_at = float(finding.what.split("stands at ")[1].split()[0])
+    assert stands_at == pytest.approx(25.0, abs=0.05)  # the noise
+    # Contact is at 15 mm of travel at 12 mm/s; a standstill shows 0.3 s later.
+    assert finding.spans[0][0] == pytest.approx(3.0 + 15 / 12 + 0.3, abs=0.15)

@@ -119,6 +119,10 @@ WRITERS = {
     ".tsv": write_tabbed,
     ".tsv.gz": write_tabbed,
     ".lvm": write_tabbed,
+    ".txt": write_tabbed,
+    ".txt.gz": write_tabbed,
+    ".dat": write_tabbed,
+    ".dat.gz": write_tabbed,
     ".tdms": write_table,
     ".mf4": write_table,
     ".mdf": write_table,
@@ -134,7 +138,7 @@ WRITERS = {
     ".log": write_bus,
 }
 ON_A_BUS = tuple(ending for ending, writer in WRITERS.items() if writer is write_bus)
-PLAIN_TEXT = {".csv", ".tsv", ".lvm", ".asc", ".trc", ".log"}
+PLAIN_TEXT = {".csv", ".tsv", ".lvm", ".txt", ".dat", ".asc", ".trc", ".log"}
 ENDINGS = [suffix for known in BUILT_IN for suffix in known.suffixes]
 every_ending = pytest.mark.parametrize("ending", ENDINGS)
 

@@ -211,6 +211,13 @@ def test_kinds_patterns_and_names():
     assert Record.from_dataframe(frame, kind="ramp").kind == "ramp"
 
 
+def test_end_stops_are_said_of_tables_too():
+    frames = [pd.DataFrame(columns())]
+    assert Campaign.from_dataframes(frames, end_stops=(0.0, 250.0)).end_stops == (0.0, 250.0)
+    with pytest.raises(InputError, match=r"end_stops: expected the lower and the higher position"):
+        Campaign.from_dataframes(frames, end_stops=(250.0, 0.0))
+
+
 def test_a_table_that_cannot_be_used_is_left_out_with_the_reason():
     good, bad = pd.DataFrame(columns()), pd.DataFrame(columns()).assign(displacement_mm=np.nan)
     campaign = Campaign.from_dataframes({"good": good, "bad": bad})

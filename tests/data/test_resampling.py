@@ -15,6 +15,7 @@ from hitchid.data.resampling import (
     SHORT_GAP_S,
     LogSection,
     sections,
+    spread_stamps,
     uniform,
     unique_stamp_rows,
 )
@@ -231,3 +232,26 @@ def test_the_grid_lies_within_the_stamps_and_runs_forward(intervals, start_s):
         assert section.clock.longest_gap_s == 0 or section.clock.longest_gap_s > GAP_FACTOR * np.median(
             intervals
         )
+
+
+@pytest.mark.parametrize(("resolution_ms", "start_ms"), [(20, 0), (100, 30), (1000, 730), (15.625, 3)])
+def test_a_clock_coarser_than_the_samples_is_spread_evenly(resolution_ms, start_ms):
+    time_ms = start_ms + 10.0 * np.arange(500)
+    stamps = np.floor(time_ms / resolution_ms) * resolution_ms / 1000
+    spread, sentence = spread_stamps(stamps, np.sin(time_ms / 300))
+    # The step is off by up to a sample over all of the rows, the first stamp by up to one.
+    np.testing.assert_allclose(np.diff(spread), 0.01, rtol=2 * resolution_ms / 5000)
+    assert np.abs(spread - time_ms / 1000).max() <= (resolution_ms + 10) / 1000
+    assert "samples share each time stamp" in sentence
+
+
+@pytest.mark.parametrize("kind", ["own stamps", "events", "every row twice", "a pause"])
+def test_other_repeated_stamps_stay_as_they_are(kind):
+    time_s, position = np.arange(500) / 100, np.sin(np.arange(500) / 30)
+    if kind == "events":
+        time_s, position = np.sort(np.append(time_s, time_s[::25])), np.sin(np.arange(520) / 30)
+    elif kind == "every row twice":
+        time_s, position = np.repeat(time_s, 2), np.repeat(position, 2)
+    elif kind == "a pause":
+        time_s = np.floor((time_s + 3.0 * (time_s > 2)) / 0.1) * 0.1
+    assert spread_stamps(time_s, position) is None

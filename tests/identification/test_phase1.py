@@ -10,9 +10,11 @@ from scipy import stats
 
 from hitchid.data.record import LIFTING
 from hitchid.errors import FitError, InputError
+from hitchid.estimation import Search, SearchResult
 from hitchid.estimation.global_search.whale import WhaleConfig
 from hitchid.estimation.objective import GAIN_RIDGE, RIDGE_FLOOR, Objective, _per_test_gain_residuals
 from hitchid.identification import ModelSpec, MultiStart, Whale
+from hitchid.identification.direction import _within_update_interval
 from hitchid.identification.phase1 import identify_benchmark
 from hitchid.structures import Batch, structure_named
 from truth import STEP_S, held, lag, levels, second_order, shifted
@@ -93,6 +95,40 @@ def test_a_dead_time_is_found_again(batch_of, dead_samples):
     expected = {"gain": 15.0, "time_constant": 0.7, "dead_time": dead_samples * STEP_S}
     assert values(found) == pytest.approx(expected, rel=1e-6)
     assert found.benchmark.named_values() == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(("update_s", "determined"), [(0.02, True), (0.1, False)])
+def test_a_dead_time_may_be_shorter_by_the_interval_of_the_sensor(batch_of, update_s, determined):
+    found = identified(
+        batch_of(plants(lag(15.0, 0.7), dead_samples=12.4)), LAG, dead_time=True, search=MultiStart(600)
+    )
+    *others, widened = _within_update_interval(found, update_s).parameter_estimates
+    low, high = found.parameter_estimates[-1].interval
+    assert widened.interval == pytest.approx((low - update_s, high))
+    assert widened.determined == determined
+    assert determined or "the sensor is updated every 0.1 s, by which it may be shorter" in widened.verdict
+    assert tuple(others) == found.parameter_estimates[:-1]
+
+
+class EndsInALocalMinimum(Search):
+    """A search that ends at a dead time of 0.25 s before hardly any lag, from where nothing descends."""
+
+    name = "ends in a local minimum"
+
+    def minimise(self, problem, seed, callback=None):
+        best = np.array([0.5, 0.95, 0.0, np.log(0.25 / 1e-4) / np.log(1.0 / 1e-4)])
+        return SearchResult(best, 1.0, 1, 0, "", np.ones(1), best[None])
+
+
+def test_a_dead_time_does_not_stand_for_the_lag_too(batch_of):
+    fraction = ([21.0], [0.15, 1.0, 0.0])
+    rng = np.random.default_rng(0)
+    commands = [np.repeat(rng.permutation([0.1, 1.0] * 5), 25) for _ in range(3)]
+    tests = [(command, held(*fraction, shifted(command, 8))) for command in commands]
+    found = identified(batch_of(tests), SECOND_ORDER, dead_time=True, search=EndsInALocalMinimum())
+    # The lag 2ξ/ω and the delay; a second-order lag at its bound of 1000 rad/s is a little less than one.
+    gain, omega, damping, dead_time = values(found).values()
+    assert (gain, 2 * damping / omega, dead_time) == pytest.approx((21.0, 0.15, 0.08), rel=0.01)
 
 
 def test_samples_at_an_end_stop_do_not_spoil_the_parameters(batch_of):

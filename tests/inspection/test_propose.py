@@ -73,6 +73,23 @@ def test_every_guess_has_its_reason_before_it(logs):
     assert all(lines[at - 1].startswith("# ") for at in guesses)
 
 
+@pytest.mark.parametrize(
+    ("ends", "expected"), [((270, 330), [270, 330]), ((270, 1000), None), ((-1000, 1000), None)]
+)
+def test_end_stops_are_proposed_where_the_piston_stands_at_both(tmp_path, ends, expected):
+    for seed in range(4):
+        log, stroke = a_log(seed, up=True), [300.0]
+        drive = np.repeat(np.random.default_rng(seed).choice([-1.0, 0.0, 1.0], 10), 100)
+        log["duty_up"], log["duty_dn"] = 80 * np.maximum(drive, 0), 80 * np.maximum(-drive, 0)
+        for direction in drive[:-1]:
+            stroke.append(np.clip(stroke[-1] + 0.4 * direction, *ends))
+        log["stroke_mm"] = stroke + 0.02 * np.random.default_rng(seed).standard_normal(len(stroke))
+        write_table(tmp_path / f"log-{seed}.csv", log)
+    text = propose(tmp_path)
+    assert tomllib.loads(text).get("end_stops") == expected
+    assert ("say both" in text) == (ends == (270, 1000))
+
+
 CLOCKS = {  # value of the first stamp, stamps in a second, unit
     "spreadsheet": (46086.5, 1 / 86400, "d"),
     "matlab": (738_886.0, 1 / 86400, "d"),

@@ -1,5 +1,6 @@
 """Where logs, settings and CAN databases are looked for, and that links are followed."""
 
+import gzip
 import os
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import pytest
 
 from hitchid.errors import InputError
 from hitchid.readers import find_logs, read, settings_of, write_table
-from hitchid.readers.formats import BUILT_IN
+from hitchid.readers.formats import BUILT_IN, format_of
 
 SAMPLES = 40
 COLUMNS = {
@@ -37,6 +38,10 @@ def outside(tmp_path):
     return tmp_path / "outside"
 
 
+# Any text may have these endings: a log of them is known from what it holds.
+CONTENT = {".log": "(0.010000) can0 123#00\n", ".txt": "t y\n0 1\n1 2\n", ".dat": "t y\n0 1\n1 2\n"}
+
+
 def databases(folder, signals=None):
     """Return the databases of the logs in a folder, as paths."""
     return settings_of([folder / "a.csv"], signals)[folder].can.databases
@@ -48,9 +53,11 @@ def databases(folder, signals=None):
 def test_logs_of_every_format_are_found_in_one_folder_sorted_by_name(logs):
     suffixes = [suffix for known in BUILT_IN for suffix in known.suffixes]
     for number, suffix in enumerate(reversed(suffixes)):
-        content = "(0.010000) can0 123#00\n" if suffix == ".log" else ""  # any text may end in it
-        (logs / f"b{number:02d}{suffix.upper() if number % 2 else suffix}").write_text(content)
-    for name in ("notes.txt", "campaign.toml", "bus.dbc", "b.mat.bak", "mat", "server.log"):
+        content = CONTENT.get(suffix.removesuffix(".gz"), "").encode()
+        (logs / f"b{number:02d}{suffix.upper() if number % 2 else suffix}").write_bytes(
+            gzip.compress(content) if suffix.endswith(".gz") else content
+        )
+    for name in ("notes.txt", "campaign.toml", "bus.dbc", "b.mat.bak", "mat", "server.log", "empty.dat"):
         (logs / name).touch()
     found = [path.name for path in find_logs(logs)]
     assert found == sorted(found)
@@ -58,6 +65,24 @@ def test_logs_of_every_format_are_found_in_one_folder_sorted_by_name(logs):
     assert {suffix for suffix in suffixes if any(name.lower().endswith(suffix) for name in found)} == set(
         suffixes
     )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "Pump changed before lift-03.\n2 tests repeated, 1 of them with load.\n3 hoses are new\n",
+        "1. warm up\n2. lift\n",
+        "2023-05-01 oil changed\n2023-05-02 sensor fixed\n",
+        "\0\1\2\3" * 999,
+    ],
+)
+def test_notes_beside_logs_are_no_logs(logs, text):
+    for name in ("notes.txt", "memory.dat"):
+        (logs / name).write_text(text)
+        with pytest.raises(InputError, match="is not a log in the format text table"):
+            format_of(logs / name)
+    assert [path.name for path in find_logs(logs)] == ["a.csv"]
 
 
 def test_logs_of_several_formats_make_one_campaign(logs):
@@ -120,7 +145,7 @@ def test_a_broken_link_is_refused_by_name(logs, name, target):
 
 
 def test_a_broken_link_that_is_no_log_is_not_read(logs):
-    (logs / "notes.txt").symlink_to("nothing")
+    (logs / "notes.md").symlink_to("nothing")
     assert [record.name for record in read(logs).records] == ["a"]
 
 

@@ -76,12 +76,14 @@ def test_files_and_folders_may_be_mixed_and_each_counts_once(folder):
         ("missing", "no such file or folder"),
         ("missing.csv", "no such file or folder"),
         ("loop.csv", "is a broken link to"),
-        ("notes.txt", r"format is not known.*\.csv, \.csv\.gz.*\.mat"),
+        ("notes.md", r"format is not known.*\.csv, \.csv\.gz.*\.mat"),
+        ("notes.txt", r"is not a log in the format text table; expected a file ending in \.csv, .*\.mat"),
         ("gz", r"format is not known"),
         ("empty", r"no log in this folder.*\.csv, \.csv\.gz.*\.mat"),
     ],
 )
 def test_what_is_no_log_is_refused_by_its_path(tmp_path, name, said):
+    (tmp_path / "notes.md").write_text("")
     (tmp_path / "notes.txt").write_text("")
     (tmp_path / "gz").write_bytes(gzip.compress(b""))
     (tmp_path / "empty").mkdir()

@@ -11,7 +11,7 @@ from hitchid.identification.phase1 import find_parameters
 from hitchid.structures import Batch, ModelSpec, structure_named
 from hitchid.uncertainty import DeadZoneError, assess
 from hitchid.uncertainty.profile import profile
-from truth import STEP_S, held, lag, levels
+from truth import STEP_S, held, lag, levels, shifted
 
 UNITS = {"x": "mm", "u": "A"}
 INTEGRATOR = ModelSpec(structure_named("integrator"))
@@ -103,6 +103,25 @@ def test_the_error_of_the_dead_zone_moves_the_gain_as_a_fit_behind_another_does(
     without, _, _ = assessed(batch_of(tests), INTEGRATOR)
     of_zone = moved.by_dead_zone[0] * np.log(1e4) * estimates["gain"].value
     assert estimates["gain"].error == pytest.approx(np.hypot(without["gain"].error, of_zone), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("structure", "verdict"),
+    [
+        ("integrator", "determined as delay and lag together: this form has no lag"),
+        ("integrator-first-order", "determined"),
+    ],
+)
+def test_the_dead_time_of_a_form_without_lag_is_called_delay_and_lag(batch_of, structure, verdict):
+    rng = np.random.default_rng(0)
+    commands = [levels(rng, SAMPLES, low=0.2) for _ in range(6)]
+    tests = [(command, held([15.0], [0.15, 1.0, 0.0], shifted(command, 8))) for command in commands]
+    form = ModelSpec(structure_named(structure), dead_time=True)
+    estimates, _, _ = assessed(batch_of(tests, noise=0.05), form)
+    assert estimates["dead_time"].verdict == verdict
+    # A lag delays a constant speed by its time constant; from step to step it does so by less.
+    low, high = (0.08, 0.23) if structure == "integrator" else (0.075, 0.085)
+    assert low < estimates["dead_time"].value < high
 
 
 def test_a_parameter_that_moves_nothing_is_not_determined_however_small_its_scores(batch_of):

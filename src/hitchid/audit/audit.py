@@ -23,7 +23,7 @@ from hitchid.audit.polarity import signs
 from hitchid.audit.ranges import units, units_of_logs
 from hitchid.audit.repeatability import drift, ramp_onsets, start_positions
 from hitchid.audit.resolution import noisy, quantisation, update_rate
-from hitchid.audit.sampling import coarse, gaps, not_measured, steps
+from hitchid.audit.sampling import coarse, gaps, not_measured, steps, time_unit
 from hitchid.audit.spikes import jumps, spikes
 from hitchid.audit.stuck_sensor import stuck_sensors
 from hitchid.data.campaign import Campaign
@@ -46,6 +46,7 @@ RECORD_CHECKS: tuple[Callable[[RecordContext], list[AuditFinding]], ...] = (
 CAMPAIGN_CHECKS: tuple[Callable[[CampaignContext], list[AuditFinding]], ...] = (
     units,
     units_of_logs,
+    time_unit,
     gaps,
     stuck_sensors,
     end_stops,

@@ -1,16 +1,16 @@
 """End stops of a campaign, and the check that names the logs that reach them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from hitchid._support.notices import Severity
-from hitchid.audit.context import CampaignContext, travel
+from hitchid.audit.context import CampaignContext, RecordContext, command_unit, join_names, travel
 from hitchid.audit.finding import AuditFinding, true_intervals
 from hitchid.audit.quality import quality
-from hitchid.data.record import DIRECTIONS, Record
+from hitchid.data.record import DIRECTIONS, RAMP, Record
 from hitchid.data.test_kinds import ACTIVE_FRACTION
 
 STANDS_S = 0.3  # s; shortest standstill, after as long under the same command: several lags (chosen)
@@ -19,6 +19,9 @@ REACHED_FRACTION = 0.0025  # of the range; a log that comes so near to a stop ha
 STALL_SPEED_FRACTION = 0.1  # of the largest travel over 0.3 s; slower is a stall (chosen)
 STALL_COMMAND_FRACTION = 0.8  # of a stall; least share with a strong command (chosen)
 LONGEST_SPIKE = 3  # samples; a farther displacement that lasts no longer is no motion
+CLEARLY_LESS = (
+    0.8  # of a command at which the piston stands; more than hysteresis and friction differ (chosen)
+)
 PASSED_FRACTION = 0.02  # of the range; a stop that logs pass by more is not where it is said to be (chosen)
 
 
@@ -44,6 +47,7 @@ class _Drive(NamedTuple):
         record: the record.
         position: sign times displacement.
         command: the least command over the last 0.6 s, zero where there is none.
+        most: the largest command over the last 0.6 s.
         travel: of the position over the last 0.3 s.
         tolerance: what noise and rounding change at most.
         window: samples of 0.3 s.
@@ -52,6 +56,7 @@ class _Drive(NamedTuple):
     record: Record
     position: np.ndarray
     command: np.ndarray
+    most: np.ndarray
     travel: np.ndarray
     tolerance: float
     window: int
@@ -171,7 +176,7 @@ def _stall(record: Record, direction: str) -> int | None:
 
 
 def _drive(record: Record, direction: str, sign: int) -> _Drive:
-    from scipy.ndimage import minimum_filter1d  # not at the top: a tenth of a second
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # not at the top: a tenth of a second
 
     command, position = record.command(direction), sign * record.displacement
     # A single command of both signs drives towards the stop with one of them.
@@ -180,16 +185,39 @@ def _drive(record: Record, direction: str, sign: int) -> _Drive:
         if other != direction:
             command = np.where(np.abs(record.command(other)) > command, 0.0, command)
     window = max(2, round(STANDS_S / record.step_s))
-    least = minimum_filter1d(command, 2 * window + 1, mode="constant", origin=window)
+    least, most = (
+        window_filter(command, 2 * window + 1, mode="constant", origin=window)
+        for window_filter in (minimum_filter1d, maximum_filter1d)
+    )
     moved = np.full(position.size, np.inf)
     moved[window:] = position[window:] - position[:-window]
-    return _Drive(record, position, least, moved, quality(record).noise_bound, window)
+    return _Drive(record, position, least, most, moved, quality(record).noise_bound, window)
 
 
 def _without_spikes(position: np.ndarray) -> float:
     """Return the largest position that is held for longer than a spike."""
     count = min(LONGEST_SPIKE + 1, position.size)
     return float(np.lib.stride_tricks.sliding_window_view(position, count).min(axis=1).max())
+
+
+def find_end_stops(context: CampaignContext) -> dict[str, EndStop]:
+    """Return direction to the end stop that its command drives the piston to, where logs meet one."""
+    stops = {}
+    for direction, sign, tests in _driven(context):
+        known = context.campaign.end_stop(sign)
+        stop = find_end_stop([test.record for test in tests], direction, sign, known)
+        if stop is not None:
+            stops[direction] = stop
+    return stops
+
+
+def _driven(context: CampaignContext) -> Iterator[tuple[str, int, list[RecordContext]]]:
+    """Yield each direction that moves the piston, the sign of its motion, and its tests."""
+    for direction in DIRECTIONS:
+        tests = [test for test in context.tests if direction in test.record.directions]
+        ways = sum(travel(test, direction) for test in tests)
+        if ways:
+            yield direction, 1 if ways > 0 else -1, tests
 
 
 def end_stops(context: CampaignContext) -> list[AuditFinding]:
@@ -199,15 +227,8 @@ def end_stops(context: CampaignContext) -> list[AuditFinding]:
     """
     findings, tests = [], {test.record.name: test for test in context.tests}
     unit = context.tests[0].quality.unit
-    for direction in DIRECTIONS:
-        driven = [test for test in context.tests if direction in test.record.directions]
-        ways = sum(travel(test, direction) for test in driven)
-        if not ways:
-            continue
-        known = context.campaign.end_stop(1 if ways > 0 else -1)
-        stop = find_end_stop([test.record for test in driven], direction, 1 if ways > 0 else -1, known)
-        if stop is None:
-            continue
+    stops = find_end_stops(context)
+    for stop in stops.values():
         for name in stop.reached:
             test, stretches = tests[name], stop.standing.get(name, [])
             record = test.record
@@ -229,7 +250,55 @@ def end_stops(context: CampaignContext) -> list[AuditFinding]:
                     intervals=stretches,
                 )
             )
-    return findings + _passed(context)
+    return findings + _passed(context) + _stalled(context, stops)
+
+
+def _stalled(context: CampaignContext, stops: Mapping[str, EndStop]) -> list[AuditFinding]:
+    """Find tests that come to stand before an end stop, where a smaller command moves the piston on."""
+    findings = []
+    for direction, sign, tests in _driven(context):
+        drives = [_drive(test.record, direction, sign) for test in tests]
+        # The command must be on over all of the 0.6 s: an idle current that is above zero moves nothing. Near
+        # the dead zone a command moves the piston slowly in one test and not at all in another.
+        active = [drive.command > ACTIVE_FRACTION * context.scales[direction] for drive in drives]
+        fastest = max(
+            float(np.max(drive.travel[np.isfinite(drive.travel) & rows], initial=0.0))
+            for drive, rows in zip(drives, active, strict=True)
+        )
+        moves = [
+            rows & (drive.travel > max(drive.tolerance, STALL_SPEED_FRACTION * fastest))
+            for drive, rows in zip(drives, active, strict=True)
+        ]
+        for test, drive, is_on, moved in zip(tests, drives, active, moves, strict=True):
+            stands = is_on & (np.abs(drive.travel) <= drive.tolerance)
+            starts, ends = true_intervals(stands & np.logical_or.accumulate(moved))
+            at_stop = direction in stops and test.record.name in stops[direction].reached
+            # A slow ramp begins to move anywhere; what does not change at all is a stuck sensor.
+            if test.record.kind == RAMP or at_stop or not starts.size:
+                continue
+            strongest = max(
+                zip(starts, ends, strict=True), key=lambda rows: drive.command[slice(*rows)].max()
+            )
+            position, command = drive.position[slice(*strongest)], drive.command[slice(*strongest)].max()
+            beyond = float(np.median(position)) + max(
+                PASSED_FRACTION * context.campaign_range, drive.tolerance
+            )
+            going_on = [
+                other.record.name
+                for other, rows in zip(drives, moves, strict=True)
+                if np.any(rows & (other.position > beyond) & (other.most <= CLEARLY_LESS * command))
+            ]
+            if np.ptp(position) == 0 or not going_on:
+                continue
+            what = (
+                f"the piston stands at {sign * np.median(position):.5g} {test.quality.unit} under "
+                f"{command:.3g} {command_unit(test.record, direction)} of {direction}; less "
+                f"moves it on in {join_names(going_on)}"
+            )
+            advice = "check load, pressure and sensor; cut the interval out, or leave the test out"
+            intervals = list(zip(starts.tolist(), ends.tolist(), strict=True))
+            findings.append(test.finding("stall", Severity.WARNING, what, advice, intervals=intervals))
+    return findings
 
 
 def _passed(context: CampaignContext) -> list[AuditFinding]:

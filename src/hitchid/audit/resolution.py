@@ -87,10 +87,10 @@ def noisy(context: RecordContext) -> list[AuditFinding]:
 def update_rate(context: RecordContext) -> list[AuditFinding]:
     """Find displacements that change in isolated steps: a low update rate, or a dead band.
 
-    The condition: at least ten changes, in the median of four quanta and 4 σ or more, with three or more
-    exact repeats before and after; neither rounding nor a piston that starts to move causes that. Evenly
-    spaced changes (90th percentile of the spacing below 1.5 times the median) are a sensor read less often
-    than logged: a warning. Others are a dead band: a note, a warning above 0.5 % of the campaign's range.
+    The condition of a dead band: at least ten changes, in the median of four quanta and 4 σ or more, with
+    three or more exact repeats before and after; neither rounding nor a piston that starts to move causes
+    that. It is a note, a warning above 0.5 % of the campaign's range. Where changes are evenly spaced, the
+    sensor is read less often than logged: a warning; see `update_interval`.
     """
     quality, step_s = context.quality, context.record.step_s
     interval_s = update_interval(context.record, quality)
@@ -118,13 +118,18 @@ def update_rate(context: RecordContext) -> list[AuditFinding]:
 def update_interval(record: Record, quality: Quality) -> float | None:
     """Return the interval at which a sensor is updated, s; None where each sample is measured anew.
 
-    See `update_rate`.
+    Hardly any two samples on end change, and the changes are evenly spaced: the 90th percentile of the
+    spacing is below 1.5 times the median. In the median they are four quanta or more, so that the piston
+    moved by several in every sample between.
     """
-    hop, spacing = _hops(np.diff(record.displacement[:MAX_SAMPLES]))
-    if hop is None or not hop >= HOP_STEPS * max(quality.quantum or 0.0, quality.noise):
+    steps = np.diff(record.displacement[:MAX_SAMPLES])
+    changes = np.flatnonzero(steps)
+    if changes.size <= FEWEST_HOPS:
         return None
-    middle, long = np.percentile(spacing, [50, 90])
-    return float(middle) * record.step_s if middle > REPEATS and long <= MAX_SPACING_RATIO * middle else None
+    shortest, middle, longest = np.percentile(np.diff(changes), [10, 50, 90])
+    is_even = shortest > 1 and longest <= MAX_SPACING_RATIO * middle
+    is_motion = np.median(np.abs(steps[changes])) >= HOP_STEPS * (quality.quantum or 0.0)
+    return float(middle) * record.step_s if is_even and is_motion else None
 
 
 def _hops(steps: np.ndarray) -> tuple[float | None, np.ndarray]:

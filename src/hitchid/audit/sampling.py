@@ -11,6 +11,8 @@ UNLIKE_STEPS = 1.5  # ratio of sampling times; above it, resampling interpolates
 MUCH_JITTER = 0.10  # of the sampling time: a tenth of the one-step motion at working speed
 FEWEST_SAMPLES_A_STROKE = 20  # samples per stroke at full speed, to resolve dead time and lag (chosen)
 FAST_FRACTION = 0.99  # quantile of one-step motions; the rest may be spikes (chosen)
+# s: a hydraulic axis crosses its stroke in seconds, and none moves from rest and back in less (chosen).
+LONGEST_STEP_S, SHORTEST_TEST_S = 1.0, 0.1
 MUCH_LOST = 0.05  # of the samples, or of the time (chosen)
 MAX_SAMPLES = 2**20  # samples examined, to limit time and memory (chosen)
 
@@ -89,6 +91,20 @@ def coarse(context: RecordContext) -> list[AuditFinding]:
             f"log with a shorter sampling time: at least {FEWEST_SAMPLES_A_STROKE} samples per stroke",
         )
     ]
+
+
+def time_unit(context: CampaignContext) -> list[AuditFinding]:
+    """Find campaigns whose time has probably another unit: too slow, or too short, for a hydraulic axis."""
+    step_s = context.tests[0].record.step_s
+    longest_s = max(test.quality.duration_s for test in context.tests)
+    if longest_s >= SHORTEST_TEST_S and step_s < LONGEST_STEP_S:
+        return []
+    unit = "ms or us" if step_s >= LONGEST_STEP_S else "s"
+    what = (
+        f"the sampling time is {step_s:.3g} s, and the longest log lasts {longest_s:.3g} s: "
+        f"the time is probably in {unit}"
+    )
+    return [AuditFinding("units", Severity.WARNING, "", "", (), what, "check the unit of the time")]
 
 
 def not_measured(context: RecordContext) -> list[AuditFinding]:

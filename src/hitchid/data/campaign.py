@@ -119,13 +119,14 @@ class Campaign(Value, Summarised):
         test_patterns: Sequence[str] | None = None,
         kinds: Mapping[str, str] | None = None,
         strict: bool = False,
+        end_stops: Sequence[float] | None = None,
     ) -> "Campaign":
         """Return the campaign of tables, each prepared as a log file is; see `Record.from_dataframe`.
 
         Args:
             frames: name to table of pandas or polars; tables without names are called test-1, test-2, ….
             signals, units: as in `Record.from_dataframe`, the same for all tables.
-            test_patterns, kinds: as in `of`.
+            test_patterns, kinds, end_stops: as in `of`.
             strict: raise an error for a table that cannot be used; otherwise it is left out.
 
         Returns:
@@ -137,7 +138,13 @@ class Campaign(Value, Summarised):
         from hitchid.data.dataframes import campaign_from_dataframes
 
         return campaign_from_dataframes(
-            frames, signals=signals, units=units, test_patterns=test_patterns, kinds=kinds, strict=strict
+            frames,
+            signals=signals,
+            units=units,
+            test_patterns=test_patterns,
+            kinds=kinds,
+            strict=strict,
+            end_stops=end_stops,
         )
 
     def __len__(self) -> int:

@@ -15,7 +15,8 @@ HOLD_ROLES = (SIGNED_COMMAND, *COMMAND.values())  # hold their last value betwee
 CLOCK_TOLERANCE_S = 1e-9  # s; rounding of time stamps
 SLOWEST_COMMAND = 10.0  # sampling times of the displacement; a slower command is held (chosen)
 ON_CHANGE_STEPS = 3.0  # of the displacement; a channel logged on change is rarer (chosen)
-ON_CHANGE_QUANTILE = 0.9  # of its intervals, above 1.5 times their median: no clock, even with gaps (chosen)
+# Of its intervals, longer or shorter than their median by a factor of 1.5: no clock, even with gaps (chosen).
+ON_CHANGE_QUANTILE = 0.9
 
 
 def resample_to_common_clock(
@@ -114,13 +115,15 @@ def resample_to_common_clock(
 def _is_logged_on_change(role: str, values: np.ndarray, clock: np.ndarray, measured_step_s: float) -> bool:
     """Return whether a channel was written when it changed, so that each sample holds until the next.
 
-    Its samples are rarer than the displacement's, and irregular; a command's may also never repeat.
+    Its samples are rarer than the displacement's, and irregular; a command's may also never repeat, but in
+    the sample that closes the log.
     """
     intervals = np.diff(clock)
     step_s = float(np.median(intervals))
-    is_irregular = float(np.quantile(intervals, ON_CHANGE_QUANTILE)) > GAP_FACTOR * step_s
+    shorter, longer = np.quantile(intervals, [1 - ON_CHANGE_QUANTILE, ON_CHANGE_QUANTILE])
+    is_irregular = bool(longer > GAP_FACTOR * step_s or step_s > GAP_FACTOR * shorter)
     is_rare = step_s > ON_CHANGE_STEPS * measured_step_s
-    return is_rare and (is_irregular or (role in HOLD_ROLES and bool(np.all(np.diff(values)))))
+    return is_rare and (is_irregular or (role in HOLD_ROLES and bool(np.all(np.diff(values[:-1])))))
 
 
 def _check_agrees(source: Path | str, time_s: np.ndarray, channel: LogChannel, name: str) -> None:

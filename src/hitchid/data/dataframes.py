@@ -74,6 +74,7 @@ def campaign_from_dataframes(
     test_patterns: Sequence[str] | None,
     kinds: Mapping[str, str] | None,
     strict: bool,
+    end_stops: Sequence[float] | None,
 ) -> Campaign:
     """Return the campaign of tables; see `Campaign.from_dataframes`."""
     named = _named(frames)
@@ -86,7 +87,14 @@ def campaign_from_dataframes(
     records = [record for records in records_by_frame for record in records]
     if left_out and not records:
         refuse(left_out, "tables")
-    return Campaign.of(records, test_patterns=test_patterns, kinds=kinds, left_out=left_out, strict=strict)
+    return Campaign.of(
+        records,
+        test_patterns=test_patterns,
+        kinds=kinds,
+        left_out=left_out,
+        strict=strict,
+        end_stops=end_stops,
+    )
 
 
 def to_dataframe(record: Record) -> "pandas.DataFrame":

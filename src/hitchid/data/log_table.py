@@ -12,7 +12,7 @@ from hitchid.data.clocks import SIGNED_COMMAND, resample_to_common_clock
 from hitchid.data.content import Content, LogChannel
 from hitchid.data.not_measured import without_unmeasured
 from hitchid.data.record import COMMAND, DISPLACEMENT, LIFTING, LOWERING
-from hitchid.data.resampling import unique_stamp_rows
+from hitchid.data.resampling import spread_stamps, unique_stamp_rows
 from hitchid.data.signal_map import DEFAULT_SIGNALS, DIMENSIONS, Column, SignalMap
 from hitchid.data.units import UNITS, parse_unit, unit_of_column
 from hitchid.errors import LogError
@@ -70,6 +70,12 @@ def table_of(content: Content, signals: SignalMap) -> LogTable:
         converted[role], unit_notices = _convert_unit(content, role, column)
         notices += unit_notices
     time = converted.pop(TIME, None)
+    displacement = converted[DISPLACEMENT].values if DISPLACEMENT in converted else np.zeros(0)
+    if time is not None and time.values.size == displacement.size:
+        spread = spread_stamps(time.values, displacement)
+        if spread is not None:
+            time = time._replace(values=spread[0])
+            notices.append(spread[1])
     names = {role: column.column for role, column in columns.items() if role != TIME}
     given_time, line_of = time, content.line_of
     time, converted, not_measured = without_unmeasured(content.source, time, converted, names, line_of)

@@ -19,6 +19,8 @@ SHORT_GAP_S, SHORT_GAP_STEPS = 0.2, 3
 LONGEST_BRIDGE_S, LONGEST_BRIDGE_STEPS = 1.0, 10
 # Fraction of a command's range, fraction of the displacement's range, rows per speed estimate (chosen).
 COMMAND_TOLERANCE, MOTION_TOLERANCE, SPEED_ROWS = 0.1, 0.05, 5
+# Fewest rows a stamp of a coarse clock; share of rows within stamps whose displacement is new (chosen).
+MIN_ROWS_A_STAMP, CHANGED_SHARE = 1.25, 0.1
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,35 @@ def unique_stamp_rows(time_s: np.ndarray, source: object, *, column: str, line_o
         )
         raise LogError(source, problem, column=column)
     return rows
+
+
+def spread_stamps(time_s: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, str] | None:
+    """Return even time stamps for samples that share theirs, and a notice; None where each has its own.
+
+    A clock that is read in steps longer than the sampling time stamps several samples alike. They were
+    sampled evenly where every stamp is within its step of one line over the rows, and anew where the
+    displacement differs within stamps.
+
+    Args:
+        time_s: time stamps, s, shape [N].
+        position: displacement, of the same shape.
+    """
+    intervals = np.diff(time_s)
+    rows = np.flatnonzero(intervals) + 1  # first rows of all stamps but the first
+    if rows.size < 3 or not np.all(intervals >= 0) or intervals.size < MIN_ROWS_A_STAMP * rows.size:
+        return None
+    changed = np.diff(position)[intervals == 0] != 0
+    # From the first change of the stamp to the last: the log may begin and end within one.
+    step_s = float(time_s[rows[-1]] - time_s[rows[0]]) / float(rows[-1] - rows[0])
+    even = np.round(time_s[rows[0]] + step_s * (np.arange(time_s.size) - rows[0]), 9)
+    resolution_s = float(np.median(intervals[rows - 1]))
+    if np.mean(changed) < CHANGED_SHARE or np.max(np.abs(even - time_s)) > resolution_s + step_s:
+        return None
+    sentence = (
+        f"about {resolution_s / step_s:.3g} samples share each time stamp, which are {resolution_s:.4g} s "
+        f"apart: they are spread evenly, every {step_s:.4g} s"
+    )
+    return even, sentence
 
 
 def one_sample_a_stamp(

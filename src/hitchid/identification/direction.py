@@ -26,7 +26,7 @@ from hitchid.identification.rivals import quick_rivals
 from hitchid.identification.selection import AutoStructure, Candidate, choose_spec
 from hitchid.identification.speed_training import train_speed_compensator
 from hitchid.model import Bands, Channel, Characteristics, Uncertainty
-from hitchid.model.estimates import Estimate
+from hitchid.model.estimates import MAX_INTERVAL_RATIO, Estimate
 from hitchid.networks.operating_range import OperatingRange, SignalRange
 from hitchid.structures import Batch
 from hitchid.structures.structure import DEAD_TIME
@@ -301,6 +301,7 @@ def _within_update_interval(phase1: Phase1, update_s: float) -> Phase1:
     """Return the fit with a dead time that may be shorter by the interval at which the sensor is updated.
 
     A reading that is held until the next is late by up to that interval, which the fit takes for dead time.
+    It stays determined where that is little beside it.
     """
     if not update_s:
         return phase1
@@ -310,6 +311,8 @@ def _within_update_interval(phase1: Phase1, update_s: float) -> Phase1:
             return estimate
         low, high = estimate.interval
         low = max(estimate.lower, (estimate.value if low is None else low) - update_s)
+        if estimate.determined and high is not None and high <= MAX_INTERVAL_RATIO * low:
+            return replace(estimate, interval=(low, high))
         reason = f"not determined: the sensor is updated every {update_s:.3g} s, by which it may be shorter"
         return replace(estimate, interval=(low, high), determined=False, verdict=reason)
 

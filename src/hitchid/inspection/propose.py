@@ -1,17 +1,24 @@
 """Proposal of a `campaign.toml` from the channels of logs, every guess with its reason."""
 
+import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import permutations
+from math import ceil, log10
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from hitchid._support.inert import printable, toml_text
-from hitchid.audit import CommandResponse, rest_level
+from hitchid.audit import CommandResponse, campaign_context, find_end_stops, rest_level
+from hitchid.data.campaign import Campaign
 from hitchid.data.content import LogChannel
 from hitchid.data.left_out import refuse, split_usable
+from hitchid.data.log_records import records_of
+from hitchid.data.log_table import table_of
+from hitchid.data.record import DISPLACEMENT
+from hitchid.data.signal_map import signal_map_of
 from hitchid.data.test_kinds import ACTIVE_FRACTION
 from hitchid.data.units import UNITS
 from hitchid.errors import InputError
@@ -79,7 +86,7 @@ def propose(logs: str | Path | Iterable[str | Path]) -> str:
     # If columns differ between logs, the most common set: others belong to another campaign.
     reference = max(contents, key=lambda log: sum(log.channels.keys() == c.channels.keys() for c in contents))
     contents = [log for log in contents if log.channels.keys() == reference.channels.keys()]
-    time = _time(contents)
+    time, as_read = _time(contents), contents
     contents = [_with_clocks(content, time) for content in contents]
     timed = [
         (content, {name: np.asarray(channel.clock_s) for name, channel in content.channels.items()})
@@ -94,7 +101,10 @@ def propose(logs: str | Path | Iterable[str | Path]) -> str:
             f"check the columns: {', '.join(names) or 'none'}"
         )
     # A line break in a name would end a comment.
-    return "\n".join(printable(line.replace("\n", " ")) for line in _lines(guesses, time, timed, names))
+    lines = [printable(line.replace("\n", " ")) for line in _lines(guesses, time, timed, names)]
+    stops = _end_stops(tomllib.loads("\n".join(lines))["signals"], as_read)
+    title = f"# Proposed by hitchid inspect --propose from {len(contents)} logs: check every line."
+    return "\n".join([title, *stops, *lines])
 
 
 def _time(contents: Sequence[Content]) -> _Time:
@@ -205,7 +215,6 @@ def _lines(
     names: Sequence[str],
 ) -> Iterator[str]:
     best, contents = guesses[0], [content for content, _ in timed]
-    yield f"# Proposed by hitchid inspect --propose from {len(contents)} logs: check every line."
     yield "[signals]"
     if time.name is not None:
         yield f"# {time.reason}"
@@ -268,6 +277,34 @@ def _reason(role: str, best: _Guess) -> str:
         f"one-sided; {other}, it moves {best.displacement}; direction {direction} from "
         "its name or from the motion"
     )
+
+
+def _end_stops(signals: Mapping[str, object], contents: Sequence[Content]) -> Iterator[str]:
+    """Yield the line with the end stops at which the piston of logs stands under command, if any."""
+    signal_map = signal_map_of(signals)
+    records_by_log, _ = split_usable(
+        [(str(content.source), content) for content in contents],
+        lambda content: records_of(str(content.source), table_of(content, signal_map), signal_map),
+        strict=False,
+    )
+    try:
+        campaign = Campaign.of([record for records in records_by_log for record in records])
+    except InputError:  # inspection gives the reason
+        return
+    with np.errstate(all="ignore"):  # as in an audit
+        found = find_end_stops(campaign_context(campaign))
+    stops = [stop for stop in found.values() if stop.standing]
+    if not stops:
+        return
+    unit, span = campaign.units[DISPLACEMENT], max(float(np.ptp(r.displacement)) for r in campaign.records)
+    # To a thousandth of the range, which is nearer than noise allows.
+    positions = sorted(round(stop.position, 3 - ceil(log10(span))) + 0.0 for stop in stops)
+    places = " and ".join(f"{position:g}" for position in positions)
+    yield f"# the piston stands at {places} {unit} although a command drives it on"
+    if len(positions) == 2 and positions[0] < positions[1]:
+        yield f"end_stops = [{positions[0]:g}, {positions[1]:g}]"
+    else:
+        yield "# an end stop; where the other is known, say both: end_stops = [lowest, highest]"
 
 
 def _rest_reading(best: _Guess, timed: Sequence[tuple[Content, Mapping[str, np.ndarray]]]) -> float | None:

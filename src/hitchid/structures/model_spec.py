@@ -167,6 +167,14 @@ class ModelSpec:
         scheduling = Scheduling(names, quantities, effects)
         return PhysicalModel(structure, values[:count], dead_time, curves, scheduling)
 
+    def has_lag(self, values: np.ndarray) -> bool:
+        """Return whether the speed follows the command with a lag, given the searched values."""
+        linear = self.structure.linear
+        if linear is None or self.spool_dynamics:
+            return True
+        _, inputs = linear.state_space(jnp.asarray(values[: len(linear.parameters)]))
+        return bool(inputs[0] == 0)
+
     def derived(self, values: np.ndarray, dead_zone: float) -> dict[str, tuple[float, str]]:
         """Return quantities that follow from searched values: name to value and unit template.
 

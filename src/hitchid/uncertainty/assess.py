@@ -15,6 +15,7 @@ from hitchid.model.estimates import (
     Interval,
     Quantity,
 )
+from hitchid.structures import DEAD_TIME
 from hitchid.uncertainty.at_bound import over_parameters_at_bound
 from hitchid.uncertainty.dead_zone_error import NO_ERROR, DeadZoneError
 from hitchid.uncertainty.derived import derived, sensitivities
@@ -28,6 +29,8 @@ PERCENTILES = (2.5, 97.5)  # ends of a 95 % interval
 ASSESSMENT_SHARES = {"standard errors": 0.3, "intervals": 0.5, "derived": 0.2}  # of the work (measured)
 # Share of the largest derivative: below it an error of 0.1 % of the travel is wider than the bounds.
 MIN_RELATIVE_DERIVATIVE = 1e-5
+# Without a lag in the form, the dead time takes that of the plant, too.
+DELAY_AND_LAG = "delay and lag together: this form has no lag"
 
 
 def assess(
@@ -212,6 +215,7 @@ def _estimates(
     fallback_quantities = objective.spec.structure.fallback_quantity
     changes = sensitivities(objective, position)
     values, slopes = objective.values(position), objective.slopes(position)
+    dead_time_stands_for = "" if objective.spec.has_lag(values) else DELAY_AND_LAG
     estimates = []
     for result in results:
         number, parameter = result.number, result.parameter
@@ -248,6 +252,7 @@ def _estimates(
                     conditional_on=result.conditional_on,
                     fallback_quantity=fallback_quantity,
                     step_s=objective.batch.step_s,
+                    stands_for=dead_time_stands_for if parameter == DEAD_TIME else "",
                 ),
                 sensitivity=changes[number],
                 profile=_profile_points(result),

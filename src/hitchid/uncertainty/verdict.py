@@ -17,6 +17,7 @@ def verdict(
     conditional_on: Sequence[str] = (),
     fallback_quantity: str,
     step_s: float,
+    stands_for: str = "",
 ) -> str:
     """Return as text whether tests determine a parameter, its interval, and the excitation required.
 
@@ -29,9 +30,10 @@ def verdict(
         conditional_on: symbols of the parameters at a bound for which alone the interval holds.
         fallback_quantity: the combination that is determined instead; empty where none is.
         step_s: sampling time of the tests, s.
+        stands_for: what the value is in this form, where that is more than the parameter.
     """
     if determined:
-        return "determined"
+        return f"determined as {stands_for}" if stands_for else "determined"
     if conditional_on:
         return f"determined only for {' and '.join(conditional_on)} at its bound"
     phrases = [_range_text(parameter, unit, interval)]

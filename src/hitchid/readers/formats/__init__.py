@@ -44,6 +44,7 @@ def _read_mdf(path: Path, selection: ChannelSelection) -> Content:
 
 BUILT_IN = (
     Format("text", csv.SUFFIXES, csv.read, csv.write_table),
+    Format("text table", csv.SHARED_SUFFIXES, csv.read, csv.write_table, (), csv.is_table),
     Format("tdms", tdms.SUFFIXES, tdms.read, tdms.write_table, ("nptdms",)),
     Format("mdf", mdf.SUFFIXES, _read_mdf, mdf.write_table, ("asammdf",)),
     Format("matlab", mat.SUFFIXES, mat.read, None, ("scipy.io",)),

@@ -23,11 +23,20 @@ from hitchid.errors import LogError
 from hitchid.readers.content import ALWAYS_ALLOWED_BYTES, ChannelSelection, no_such_channel
 from hitchid.readers.formats import lvm
 from hitchid.readers.formats.columns import Columns
-from hitchid.readers.formats.dialect import ZEROS, Dialect, check_width, dialect_of, encoding_of
+from hitchid.readers.formats.dialect import (
+    ZEROS,
+    Dialect,
+    check_width,
+    dialect_of,
+    encoding_of,
+    has_samples,
+)
 from hitchid.readers.formats.numerals import NUMBER, Numerals
 
 SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".lvm")
+SHARED_SUFFIXES = (".txt", ".txt.gz", ".dat", ".dat.gz")  # of notes and binary files, too
 HEAD, BLOCK = 2**22, 2**22  # bytes: beginning that decides the dialect; part parsed at once
+TABLE_HEAD = 2**16  # bytes in which a text has a first row of numbers (chosen)
 # Characters of the longest line, ten of which are in the head: a sample of ten thousand channels; chosen.
 LONGEST_LINE = 2**18
 MAX_TEXT_RATIO = 50  # unpacked bytes a packed one; text logs have 5 to 20 (chosen)
@@ -80,6 +89,17 @@ def read(path: Path, selection: ChannelSelection) -> Content:
     return columns.content(
         {name: dialect.units.get(dialect.names[index]) for name, index in zip(names, indices, strict=True)}
     )
+
+
+def is_table(path: Path) -> bool:
+    """Return whether a file begins like a text log, with rows of numbers near its beginning."""
+    try:
+        with gzip.open(path) if path.suffix.lower() == ".gz" else path.open("rb") as file:
+            head = file.read(TABLE_HEAD)
+        text = head.decode(encoding_of(head, path), errors="replace")
+    except (LogError, EOFError, zlib.error):
+        return False
+    return lvm.is_lvm(text) or has_samples(text.replace("\r", "\n"))
 
 
 def _rows(

@@ -5,7 +5,7 @@ import io
 import re
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -142,6 +142,16 @@ def dialect_of(text: str, source: Path, requested: Sequence[str] = ()) -> Dialec
         if bracketed:
             units.setdefault(name, bracketed.group(2).strip())
     return Dialect(separator, tuple(names), units, header, first)
+
+
+def has_samples(text: str) -> bool:
+    """Return whether two successive lines of a text are rows of as many cells, most of them numbers."""
+    return any(
+        len(one.cells) == len(other.cells) > 1
+        and all(2 * sum(map(is_number, row.cells)) > len(row.cells) for row in (one, other))
+        for separator in SEPARATORS
+        for one, other in pairwise(_rows(text, separator))
+    )
 
 
 def check_width(
