@@ -22,6 +22,7 @@ LONGEST_SPIKE = 3  # samples; a farther displacement that lasts no longer is no 
 CLEARLY_LESS = (
     0.8  # of a command at which the piston stands; more than hysteresis and friction differ (chosen)
 )
+BACK_SHARE = 0.1  # of the time under command; a plant that moves back longer balances its command (chosen)
 PASSED_FRACTION = 0.02  # of the range; a stop that logs pass by more is not where it is said to be (chosen)
 
 
@@ -69,7 +70,8 @@ def find_end_stop(
 
     A piston is at its stop where it stands at the extreme of its travel, within 2 % of the range, while its
     command has been on for 0.6 s, the last 0.3 s of them without motion. The command must be one that moves
-    the piston elsewhere, and more than any at which it stands elsewhere, as in the dead zone. Once is enough.
+    the piston elsewhere, and more than any at which it stands elsewhere, as in the dead zone. Once is enough,
+    but of a plant that moves back under its command, such as a level with an outflow: that may be a balance.
     Where tests of this direction agree on where a strong command moves it no further, the stop is there.
 
     Args:
@@ -87,16 +89,17 @@ def find_end_stop(
         known = _agreed_stall([record for record in records if record.kind == direction], direction, sign)
     if known is None:
         largest = max(float(drive.command.max()) for drive in drives)
-        moving, still, standing_at = [], [], []
+        moving, still, standing_at, back = [], [], [], []
         for drive in drives:
             is_driven = drive.command > ACTIVE_FRACTION * largest
             is_at_end = drive.position >= farthest - max(drive.tolerance, AT_END_FRACTION * span)
             moving.append(drive.command[is_driven & ~is_at_end & (drive.travel > drive.tolerance)])
             stands = is_driven & (np.abs(drive.travel) <= drive.tolerance)
             still.append(drive.command[stands & ~is_at_end])
+            back.append((drive.travel < -drive.tolerance)[is_driven])
             standing_at.append(stands & is_at_end)
         commands, idle = np.concatenate(moving), np.concatenate(still)
-        if not commands.size:
+        if not commands.size or np.mean(np.concatenate(back)) > BACK_SHARE:
             return None
         # One percent either way for chance: a rounding that looks like motion, a sensor that stuck.
         least, most = np.percentile(commands, 1), np.percentile(idle, 99) if idle.size else 0.0
