@@ -33,7 +33,7 @@ class Limitation:
         direction: lifting or lowering.
         bandwidth_rad_s: largest of PI control with all margins, or that at the bound of `limit`.
         limit: what ends the bandwidth: the `margins`; or before them the `noise` of the sensor, which asks
-            for 3.5 % of the largest speed there, or the end of the `search` at 30 rad/s. Noise is as
+            for 4 % of the largest speed there, or the end of the `search` at 30 rad/s. Noise is as
             identified, and may contain what the model misses.
         nominal: Ms at the worst operating point with the identified parameters.
         worst: Ms that 95 % of the draws keep there.

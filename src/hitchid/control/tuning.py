@@ -126,7 +126,7 @@ def tune(
 
     In each direction the bandwidth is the largest with which 95 % of the draws keep every margin at nine
     operating points, also where a load that is a fifth heavier than that of the tests is lowered faster, and
-    with which the noise of the sensor asks for at most 3.5 % of the largest speed. Two ways to spend it are
+    with which the noise of the sensor asks for at most 4 % of the largest speed. Two ways to spend it are
     compared on drawn models: PI control of the predicted position, and LQI with feedback of the predicted
     speed.
 
