@@ -168,9 +168,9 @@ def operating_points(channel: Channel) -> Iterator[tuple[float, float]]:
 def sensor_noise(model: Hitch) -> float:
     """Return the standard deviation of the sensor noise, in the displacement's unit.
 
-    Both directions have the same sensor; what a model misses makes its noise larger, so the smaller is it. The
-    bands know it from the errors of held-out tests; the load filter, which splits them between sensor and load,
-    may give the sensor too little.
+    Both directions have the same sensor; what a model misses makes its noise larger, so the smaller is it.
+    The bands know it from the errors of held-out tests; the load filter, which splits them between sensor
+    and load, may give the sensor too little.
     """
     channels = model.channels.items()
     ranges = (channel.operating_range.displacement for _, channel in channels)
