@@ -281,7 +281,7 @@ def test_inspect_leaves_a_bad_log_out_and_counts(logs):
     ("name", "said"),
     [
         ("missing", ["missing", "no such file or folder"]),
-        ("notes.txt", ["notes.txt", "format is not known", ".csv"]),
+        ("notes.md", ["notes.md", "format is not known", ".csv"]),
         ("empty", ["empty", "no log", ".csv"]),
         ("loop.csv", ["loop.csv", "is a broken link to"]),
         ("a" * 300 + ".csv", ["aaa"]),
@@ -290,7 +290,7 @@ def test_inspect_leaves_a_bad_log_out_and_counts(logs):
 )
 @pytest.mark.parametrize("command", ["inspect", "identify", "validate"])
 def test_a_path_that_is_no_log_is_refused(refused, tmp_path, model, command, name, said):
-    (tmp_path / "notes.txt").write_text("no log")
+    (tmp_path / "notes.md").write_text("no log")
     (tmp_path / "empty").mkdir()
     (tmp_path / "loop.csv").symlink_to("loop.csv")
     paths = [model, tmp_path / name] if command == "validate" else [tmp_path / name]
