@@ -96,7 +96,8 @@ def test_the_bandwidth_is_the_largest_with_these_margins_that_the_noise_allows(m
         assert lqi is None or float(lqi.proportional) <= max(LOWEST_RAD_S, loops.noise_rad_s)
 
 
-def test_a_controller_that_noise_limits_says_so(model: hitchid.Hitch):
+def test_a_controller_that_noise_limits_says_so(model: hitchid.Hitch, monkeypatch):
+    monkeypatch.setattr(direction_loops, "NOISE_SHARE", 0.02)  # as with twice the noise
     found = limitation(model, "lifting", draws=40)
     assert found.limit == "noise"
     assert found.worst < 0.95 * MAX_SENSITIVITY
