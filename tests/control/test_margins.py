@@ -37,6 +37,13 @@ def test_a_loop_that_never_reaches_half_a_turn_has_no_gain_margin() -> None:
     assert found.disk == pytest.approx(2.0, rel=1e-6)
 
 
+def test_a_loop_that_is_zero_at_its_last_frequency_has_the_margins_below_it() -> None:
+    loop = integrator(2.0, 0.2)
+    with np.errstate(all="raise"):
+        found = margins(np.append(loop[:-1], 0.0), OMEGA)
+    assert found.gain_db == margins(loop, OMEGA).gain_db
+
+
 def test_a_double_integrator_with_lead_has_the_margins_of_its_closed_form() -> None:
     s = 1j * OMEGA
     found = margins((1 + s) / s**2, OMEGA)

@@ -39,7 +39,8 @@ def margins(loop: Complex[np.ndarray, "*b f"], omega: Float[np.ndarray, " f"]) -
         omega: ascending frequencies, rad/s, shape [F].
     """
     phase = np.unwrap(np.angle(loop), axis=-1)
-    log_size = np.log(np.abs(loop))
+    # Half a sample of dead time leaves nothing at the Nyquist frequency, whose logarithm would be infinite.
+    log_size = np.log(np.maximum(np.abs(loop), np.finfo(float).tiny))
     gain_db = _at_crossings(phase_remainder(phase), -20 / np.log(10) * log_size)
     falls = (log_size[..., :-1] >= 0) & (log_size[..., 1:] < 0)
     share = _share(log_size)
