@@ -19,9 +19,7 @@ REACHED_FRACTION = 0.0025  # of the range; a log that comes so near to a stop ha
 STALL_SPEED_FRACTION = 0.1  # of the largest travel over 0.3 s; slower is a stall (chosen)
 STALL_COMMAND_FRACTION = 0.8  # of a stall; least share with a strong command (chosen)
 LONGEST_SPIKE = 3  # samples; a farther displacement that lasts no longer is no motion
-CLEARLY_LESS = (
-    0.8  # of a command at which the piston stands; more than hysteresis and friction differ (chosen)
-)
+CLEARLY_LESS = 0.8  # of a command at which the piston stands; hysteresis and friction differ less (chosen)
 BACK_SHARE = 0.1  # of the time under command; a plant that moves back longer balances its command (chosen)
 PASSED_FRACTION = 0.02  # of the range; a stop that logs pass by more is not where it is said to be (chosen)
 

@@ -281,19 +281,18 @@ def _reason(role: str, best: _Guess) -> str:
 
 def _end_stops(signals: Mapping[str, object], contents: Sequence[Content]) -> Iterator[str]:
     """Yield the line with the end stops at which the piston of logs stands under command, if any."""
-    signal_map = signal_map_of(signals)
-    records_by_log, _ = split_usable(
-        [(str(content.source), content) for content in contents],
-        lambda content: records_of(str(content.source), table_of(content, signal_map), signal_map),
-        strict=False,
-    )
     try:
+        signal_map = signal_map_of(signals)
+        records_by_log, _ = split_usable(
+            [(str(content.source), content) for content in contents],
+            lambda content: records_of(str(content.source), table_of(content, signal_map), signal_map),
+            strict=False,
+        )
         campaign = Campaign.of([record for records in records_by_log for record in records])
     except InputError:  # inspection gives the reason
         return
     with np.errstate(all="ignore"):  # as in an audit
-        found = find_end_stops(campaign_context(campaign))
-    stops = [stop for stop in found.values() if stop.standing]
+        stops = [stop for stop in find_end_stops(campaign_context(campaign)).values() if stop.standing]
     if not stops:
         return
     unit, span = campaign.units[DISPLACEMENT], max(float(np.ptp(r.displacement)) for r in campaign.records)
