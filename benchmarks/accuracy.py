@@ -15,7 +15,7 @@ import numpy as np
 import hitchid
 from hitchid.report import numbers
 from hitchid.validation import Accuracy
-from hitchid.validation.names import model_name
+from hitchid.validation.results import model_name
 
 from .free_run import SETS
 from .gauntlet.rivals import best_rival, difference

@@ -12,8 +12,8 @@ from benchmarks.adaptation.bench import RIGS, at_work, identified
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hitchid.adaptation import Event
-from hitchid.adaptation.events import CHANGE_DETECTED, LEARNED, MOVED, PROMOTED, REFUSED, ROLLED_BACK
+from hitchid.live import Event
+from hitchid.live.events import CHANGE_DETECTED, LEARNED, MOVED, PROMOTED, REFUSED, ROLLED_BACK
 from hitchid.model import Hitch
 from hitchid.plots.style import COLOURS, FAINT, INK, PAGE_IN, legend_above, styled
 from hitchid.report.svg import svg

@@ -1,7 +1,7 @@
 """Is the advised test worth more than one more of the usual? Simulated campaigns, both tests run.
 
 The plants of `coverage.py`, those whose parameters are all determined. A campaign of twelve tests is
-identified, `hitchid.design` proposes a thirteenth for the parameter with the widest interval, it is run on
+identified, `hitchid.control.next_test` proposes a thirteenth for the parameter with the widest interval, it is run on
 the plant, and the campaign identified again; beside it with one more test like the twelve. Prints by how
 much either cuts the interval.
 
@@ -14,11 +14,11 @@ import jax
 import numpy as np
 from coverage import PLANTS, UNITS, Plant, campaign, make_test, record_of
 
-from hitchid.data.record import COMMAND, DISPLACEMENT, LIFTING
-from hitchid.design import ExcitationLimits, command_of, design
+from hitchid.control.next_test import ExcitationLimits, command_of, design
 from hitchid.estimation import MultiStart
 from hitchid.identification.direction import operating_range_of
 from hitchid.identification.phase1 import Phase1, identify_benchmark
+from hitchid.logs.record import COMMAND, DISPLACEMENT, LIFTING
 from hitchid.model import Channel, Hitch, Uncertainty
 from hitchid.structures import Batch
 from hitchid.uncertainty import information_of

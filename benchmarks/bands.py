@@ -16,11 +16,11 @@ import jax
 import numpy as np
 
 import hitchid
-from hitchid.baselines.persistence import delayed
-from hitchid.experiments.virtual_campaign import write_campaign
+from hitchid.baselines.registry import delayed
+from hitchid.bench.virtual_campaign import write_campaign
 from hitchid.model import Bands, Channel
 from hitchid.structures import Batch
-from hitchid.validation.bands import COVERAGE, free_run_band
+from hitchid.validation.channels import COVERAGE, free_run_band
 
 TESTS, UNSEEN = 20, {"nominal": 100, "heavy-cold": 40, "light-warm-worn": 40}
 HORIZONS = tuple(range(1, 101))

@@ -19,11 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.signal import lfilter
 
-from hitchid.data.record import LIFTING, Record
+from hitchid.bench.excitation import prbs, precompensated
 from hitchid.estimation import MultiStart
-from hitchid.experiments.excitation import prbs, precompensated
 from hitchid.identification.phase1 import Phase1, find_parameters, identify_benchmark
 from hitchid.identification.selection import AutoStructure, choose_spec
+from hitchid.logs.record import LIFTING, Record
 from hitchid.model import Estimate, Interval
 from hitchid.structures import Batch, ModelSpec, PhysicalModel, Scales, structure_named
 from hitchid.uncertainty import DeadZoneError

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 import hitchid
-from hitchid.data.campaign import Campaign
-from hitchid.data.record import CYCLE, LIFTING, LOWERING, Record
+from hitchid.logs.campaign import Campaign
+from hitchid.logs.record import CYCLE, LIFTING, LOWERING, Record
 from hitchid.model import Hitch
 
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))

@@ -17,12 +17,11 @@ from pathlib import Path
 import numpy as np
 from benchmarks.scheduling import show
 
-from hitchid.experiments.conditions import Conditions
-from hitchid.experiments.virtual_campaign import write_campaign
+from hitchid.bench.virtual_campaign import Conditions, write_campaign
 from hitchid.fleet import FleetResult, Row, Runner, Store, identify_fleet, read_rows
-from hitchid.fleet.identify import identification_job
-from hitchid.fleet.local import run_local
-from hitchid.fleet.machines import machines_of
+from hitchid.fleet.jobs import identification_job
+from hitchid.fleet.runners import run_local
+from hitchid.fleet.store import machines_of
 from hitchid.identification import MultiStart, Settings
 
 MACHINES = 24  # that runners are compared on

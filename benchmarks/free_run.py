@@ -24,10 +24,10 @@ import numpy as np
 from scipy.io import loadmat
 
 import hitchid
-from hitchid.data.record import COMMAND, DISPLACEMENT, LIFTING, Record
-from hitchid.experiments.virtual_campaign import write_campaign
+from hitchid.bench.virtual_campaign import write_campaign
 from hitchid.identification import RivalsConfig
 from hitchid.identification.preparation import mixed_dead_zones
+from hitchid.logs.record import COMMAND, DISPLACEMENT, LIFTING, Record
 from hitchid.structures import ModelSpec, structure_named
 
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))

@@ -24,10 +24,10 @@ import numpy as np
 
 jax.config.update("jax_enable_x64", True)  # before models are made by hand
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-sys.path.insert(1, str(Path(__file__).parents[1] / "tests" / "readers"))
+sys.path.insert(1, str(Path(__file__).parents[1] / "tests" / "logs"))
 
 import fuzzing  # noqa: E402
-from hitchid.readers import ReaderProcess  # noqa: E402
+from hitchid.logs import ReaderProcess  # noqa: E402
 
 REPORT_INTERVAL, MOST_MEMORY = 1000, 2**31
 MEMORY_LIMIT = 4 * 2**30  # what this process may ask for: a fault must not take the machine down

@@ -23,8 +23,8 @@ from coverage import (
     write_row,
 )
 
-from hitchid.data.record import LIFTING
 from hitchid.identification.phase1 import find_parameters
+from hitchid.logs.record import LIFTING
 from hitchid.model import LoadScatter
 from hitchid.structures import Batch
 from hitchid.uncertainty import load_scatter

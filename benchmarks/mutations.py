@@ -53,52 +53,48 @@ MUTATIONS = (
         "leave_one_out = np.sqrt((sums.sum() - sums) / counts.sum())",
         "_support/test_metrics.py",
     ),
+    Mutation("_support/files.py", "if path != folder / MANIFEST_FILE", "if True", "_support/test_storage.py"),
     Mutation(
-        "_support/storage.py", "if path != folder / MANIFEST_FILE", "if True", "_support/test_storage.py"
-    ),
-    Mutation(
-        "data/units.py",
+        "logs/units.py",
         "source.factor / wanted.factor",
         "wanted.factor / source.factor",
-        "data/test_units.py",
+        "logs/test_units.py",
     ),
     Mutation(
-        "data/segmentation.py",
+        "logs/kinds.py",
         "(command > on) | (command <= off)",
         "(command > on) | (command <= on)",
-        "data/test_segmentation.py",
+        "logs/test_segmentation.py",
     ),
     Mutation(
-        "readers/formats/can/bits.py",
+        "logs/formats/can_streams.py",
         "* signal.scale + signal.offset",
         "* signal.scale - signal.offset",
-        "readers/test_can.py",
+        "logs/test_can.py",
     ),
     Mutation(
-        "readers/formats/can/bits.py",
+        "logs/formats/can_streams.py",
         "all_ones - 1 if signal.length < 8",
         "all_ones if signal.length < 8",
-        "readers/test_can.py",
+        "logs/test_can.py",
     ),
-    Mutation("readers/content.py", "MAX_UNPACK_RATIO * path.stat()", "1e9 * path.stat()", "test_fuzz.py"),
+    Mutation("logs/content.py", "MAX_UNPACK_RATIO * path.stat()", "1e9 * path.stat()", "test_fuzz.py"),
     Mutation(
-        "audit/spikes.py",
+        "logs/audit/spikes.py",
         "JUMP_FACTOR * neighbour_steps.max(axis=1)",
         "neighbour_steps.min(axis=1)",
-        "audit/test_audit_sensor.py",
+        "logs/audit/test_audit_sensor.py",
     ),
     Mutation(
-        "audit/polarity.py",
+        "logs/audit/command_checks.py",
         "< -CLEAR_OF_TYPICAL * typical",
         "> CLEAR_OF_TYPICAL * typical",
-        "audit/test_audit_campaign.py",
+        "logs/audit/test_audit_campaign.py",
     ),
     Mutation(
-        "rig/cylinder.py", "self.dead_volume + self.hose_volume", "self.dead_volume", "rig/test_motion.py"
+        "bench/linkage.py", "self.dead_volume + self.hose_volume", "self.dead_volume", "bench/test_motion.py"
     ),
-    Mutation(
-        "inspection/motion.py", "command[: command.size - lag]", "command[lag:]", "inspection/test_propose.py"
-    ),
+    Mutation("logs/motion.py", "command[: command.size - lag]", "command[lag:]", "logs/test_propose.py"),
     Mutation(
         "networks/lstm.py",
         "gates = gates + cast(Array, cell.bias)",
@@ -106,7 +102,7 @@ MUTATIONS = (
         "networks/test_lstm.py",
     ),
     Mutation(
-        "structures/static_nonlinearity.py",
+        "structures/nonlinearity.py",
         "0.5 * hysteresis * dead_zone",
         "hysteresis * dead_zone",
         "structures/test_static_nonlinearity.py",
@@ -127,7 +123,7 @@ MUTATIONS = (
         "estimation/test_correlations.py",
     ),
     Mutation(
-        "baselines/arx.py",
+        "baselines/linear.py",
         "sliding_window_view(padded, order)[:, ::-1]",
         "sliding_window_view(padded, order)",
         "baselines/test_autoregression.py",
@@ -141,7 +137,7 @@ MUTATIONS = (
     ),
     Mutation("uncertainty/conformal.py", "level / (1.0 - level)", "level", "uncertainty/test_bands.py"),
     Mutation(
-        "uncertainty/verdict.py",
+        "uncertainty/parameter_result.py",
         "upper < 1 / nyquist_rad_s",
         "upper > 1 / nyquist_rad_s",
         "uncertainty/test_verdict.py",
@@ -153,7 +149,7 @@ MUTATIONS = (
         "identification/test_dead_zone.py",
     ),
     Mutation(
-        "identification/hold_drift.py",
+        "identification/campaign_job.py",
         "edges[::2] + settling_samples",
         "edges[::2]",
         "identification/test_hold_drift.py",
@@ -165,25 +161,25 @@ MUTATIONS = (
         "validation/test_acceptance.py",
     ),
     Mutation(
-        "control/margins.py",
+        "control/loops.py",
         "* np.diff(phase, axis=-1)) + 180.0",
         "* np.diff(phase, axis=-1))",
         "control/test_margins.py",
     ),
     Mutation(
-        "online/live.py",
+        "live/live.py",
         "if samples > MAX_GAP_SAMPLES",
         "if samples >= MAX_GAP_SAMPLES",
-        "online/test_live.py",
+        "live/test_live.py",
     ),
     Mutation(
-        "fleet/multiple_testing.py",
+        "fleet/random_effects.py",
         "np.arange(1, tested.size + 1)",
         "np.arange(tested.size, 0, -1)",
         "fleet/test_multiple_testing.py",
     ),
     Mutation(
-        "export/plant_constants.py",
+        "export/constants.py",
         "(fraction * step_s, (1 - fraction) * step_s)",
         "((1 - fraction) * step_s, fraction * step_s)",
         "export/test_parity.py",

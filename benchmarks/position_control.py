@@ -22,26 +22,16 @@ import numpy as np
 from benchmarks.free_run import DATA
 
 import hitchid
-from hitchid.control import (
-    Drive,
-    ModelPlant,
-    Tuning,
-    drive,
-    load_controller,
-    run_plant_loops,
-    save_controller,
-    tune,
-)
-from hitchid.control.direction_loops import HEAVIER, DirectionLoops
-from hitchid.control.drive import TESTED
-from hitchid.control.figures import ON_A
-from hitchid.control.pid import COMPENSATED
+from hitchid.bench import load_rig
+from hitchid.bench.virtual_campaign import write_campaign
+from hitchid.control import Drive, ModelPlant, Tuning, load_controller, run_plant_loops, save_controller, tune
+from hitchid.control.drive import ON_A, TESTED, drive
+from hitchid.control.loops import HEAVIER, DirectionLoops
 from hitchid.control.prediction import SPEED_EXPONENT, loads_of_channels
-from hitchid.data.record import DIRECTIONS
-from hitchid.experiments.virtual_campaign import write_campaign
+from hitchid.control.scenarios import COMPENSATED
 from hitchid.export import to_c
-from hitchid.export.compiler import find_compiler
-from hitchid.rig import load_rig
+from hitchid.export.verification import find_compiler
+from hitchid.logs.record import DIRECTIONS
 
 RIGS = ("nominal", "light-warm-worn", "heavy-cold")
 BOOM = "excavator-boom"

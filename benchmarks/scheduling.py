@@ -11,16 +11,15 @@ from pathlib import Path
 import numpy as np
 
 import hitchid
-from hitchid._support.parallel import parallel
-from hitchid.data.campaign import Campaign
-from hitchid.data.record import DIRECTIONS, LIFTING, Record
-from hitchid.data.test_kinds import effective_command
-from hitchid.experiments.conditions import Conditions
-from hitchid.experiments.virtual_campaign import write_campaign
+from hitchid._support.progress import parallel
+from hitchid.bench.virtual_campaign import Conditions, write_campaign
 from hitchid.identification import AutoStructure, MultiStart
 from hitchid.identification.selection import choose_spec
+from hitchid.logs.campaign import Campaign
+from hitchid.logs.kinds import effective_command
+from hitchid.logs.record import DIRECTIONS, LIFTING, Record
 from hitchid.model import Hitch
-from hitchid.model.loads import covariates_of
+from hitchid.model.inputs import covariates_of
 from hitchid.structures import Batch, ModelSpec, Scales, structure_named
 
 IMPLEMENTS_KG, OIL_C = tuple(np.linspace(450.0, 1300.0, 6)), tuple(np.linspace(5.0, 70.0, 5))

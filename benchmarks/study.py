@@ -11,12 +11,12 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from hitchid.estimation.global_search import EVALUATIONS, DifferentialEvolution, MultiStart, Search, Whale
-from hitchid.estimation.global_search.whale import WhaleConfig
+from hitchid.estimation import EVALUATIONS, DifferentialEvolution, MultiStart, Search, Whale
+from hitchid.estimation.whale import WhaleConfig
 from hitchid.identification.identify import PAPER_SPECS
 from hitchid.identification.phase1 import identify_benchmark
 from hitchid.identification.preparation import prepare
-from hitchid.readers import read
+from hitchid.logs import read
 from hitchid.structures import ModelSpec
 
 SEEDS = range(10)

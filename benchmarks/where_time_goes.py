@@ -49,7 +49,7 @@ def main() -> None:
 
 def _measured(name: str) -> dict:
     """Return what one identification took, as the command line does it."""
-    from hitchid._support.compilation import prepare_jax
+    from hitchid._support.jax_setup import prepare_jax
 
     prepare_jax()
     from jax import monitoring

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hitchid.readers import write_table
+from hitchid.logs import write_table
 
 
 def binary_command(rng: np.random.Generator, samples: int, low: float, high: float) -> np.ndarray:

@@ -17,7 +17,7 @@ from jaxtyping import install_import_hook
 jax.config.update("jax_enable_x64", True)
 
 # Compiling is most of the work of the suite, and takes less than half as long with these: the program's code
-# generator (`hitchid._support.compilation`), and one thread for each program, as there are two workers.
+# generator (`hitchid._support.jax_setup`), and one thread for each program, as there are two workers.
 os.environ.setdefault(
     "XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
 )
@@ -41,7 +41,7 @@ if EXAMPLES == "full":
     install_import_hook("hitchid", "beartype.beartype")
 
 from benches import write_bench  # noqa: E402
-from hitchid.data.record import Record  # noqa: E402
+from hitchid.logs.record import Record  # noqa: E402
 
 # From the longest: begun last, they would keep one core waiting for the other.
 LONGEST = ("test_sun2025.py", "test_examples.py", "test_checkpoints.py", "test_selection.py")

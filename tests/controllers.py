@@ -6,7 +6,7 @@ import numpy as np
 import handmade
 from hitchid.control.axis import Axis
 from hitchid.control.controller import Gains, HitchController, HoldWindow
-from hitchid.data.record import DIRECTIONS
+from hitchid.logs.record import DIRECTIONS
 
 UNITS = {"displacement": "mm", "lifting_command": "A", "lowering_command": "A"}
 DEAD_TIME_S = 0.064

@@ -7,7 +7,7 @@ import numpy as np
 from hitchid.errors import InputError
 from hitchid.hmi import Signal
 from hitchid.hmi.disk import Disk
-from hitchid.hmi.limits import Limits
+from hitchid.hmi.plans import Limits
 from hitchid.hmi.source import Reading
 
 STEP_S = 0.01

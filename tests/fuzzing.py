@@ -36,16 +36,19 @@ import fleet_rows
 from controllers import made_up_controller, made_up_model
 from handmade import channel, hitch, hitch_of, with_bands
 from hitchid._support.checkpoints import Checkpoints
-from hitchid._support.storage import canonical_json, digest
+from hitchid._support.files import canonical_json, digest
+from hitchid.bench.parameter_files import load_rig
 from hitchid.control.files import load_controller, save_controller
-from hitchid.control.margins import Margins
+from hitchid.control.loops import Margins
 from hitchid.control.tuning import DirectionMargins, Tuning
-from hitchid.data.record import LIFTING, Record
-from hitchid.data.signal_map import read_campaign_file
 from hitchid.errors import HitchError
 from hitchid.fleet.row import Row
+from hitchid.handover import step_responses
 from hitchid.identification.settings_file import read_settings, settings_of_model
-from hitchid.inspection.inspect_logs import inspect_campaign
+from hitchid.logs import ReaderProcess, assemble, find_logs, read_log, settings_of, write_table
+from hitchid.logs.inspect import inspect_campaign
+from hitchid.logs.record import LIFTING, Record
+from hitchid.logs.signal_map import read_campaign_file
 from hitchid.model import (
     Characteristics,
     Estimate,
@@ -64,11 +67,8 @@ from hitchid.model import (
     load,
     load_trace,
     save,
-    step_responses,
 )
 from hitchid.model.provenance import DifferenceTest
-from hitchid.readers import ReaderProcess, assemble, find_logs, read_log, settings_of, write_table
-from hitchid.rig.parameter_files import load_rig
 from hitchid.structures import PhysicalModel, structure_named
 from hitchid.validation import read_limits
 
@@ -319,7 +319,7 @@ def _settings() -> Iterator[Seed]:
 
 
 def _nominal() -> bytes:
-    return (resources.files("hitchid.rig") / "parameters" / "nominal.toml").read_bytes()
+    return (resources.files("hitchid.bench") / "parameters" / "nominal.toml").read_bytes()
 
 
 def _kept(place: Path) -> Iterator[Seed]:

@@ -7,14 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid.baselines.arx import Arx
-from hitchid.baselines.black_box import BlackBox
-from hitchid.baselines.block_signals import STEPS
-from hitchid.baselines.integrating_lstm import IntegratingLstm
-from hitchid.baselines.linear_inputs import LinearInputs
+from hitchid.baselines.black_box import STEPS, BlackBox, IntegratingLstm
+from hitchid.baselines.linear import Arx, LinearInputs
 from hitchid.baselines.narx import Narx
 from hitchid.baselines.output_error import OutputError
-from hitchid.data.record import LIFTING, LOWERING
+from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.model import (
     Bands,
     Channel,

@@ -9,8 +9,8 @@ import numpy as np
 
 import handmade
 from handmade import DEAD_ZONES, GAINS, STEP_S
-from hitchid.adaptation import Stroke
-from hitchid.data.record import LIFTING, LOWERING
+from hitchid.live import Stroke
+from hitchid.logs.record import LIFTING, LOWERING
 
 FILTER = handmade.LOAD_FILTERS[LIFTING]
 COVERED = handmade.envelope(displacement=(40.0, 160.0))

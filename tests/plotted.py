@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 import handmade
-from hitchid.data.campaign import Campaign
-from hitchid.data.record import LIFTING, LOWERING, Record
+from hitchid.logs.campaign import Campaign
+from hitchid.logs.record import LIFTING, LOWERING, Record
 from hitchid.model import (
     Characteristics,
     Estimate,

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 import hitchid
-from hitchid._support.notices import Severity
+from hitchid._support.records import Severity
 from hitchid.fleet import identify_fleet
 from hitchid.identification.settings_file import read_settings
-from hitchid.inspection import inspect, propose
+from hitchid.logs import inspect
+from hitchid.logs.propose import propose
 
 CASES = os.environ.get("HITCHID_CASES", "")
 PRINTED = 5.001e-5  # half of the last digit of displacements below 100, of six digits

@@ -6,9 +6,9 @@ import pytest
 import handmade
 import hitchid
 from hitchid.errors import InputError
-from hitchid.identification.arguments import SEARCHES, identification_config
+from hitchid.identification.config import SEARCHES, identification_config
 from hitchid.identification.identify import DEFAULT_STRUCTURES, PAPER_SPECS
-from hitchid.readers import write_table
+from hitchid.logs import write_table
 from truth import levels
 
 SAMPLES = 300

@@ -18,17 +18,17 @@ import pytest
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-sys.path.insert(1, str(Path(__file__).parent / "readers"))
+sys.path.insert(1, str(Path(__file__).parent / "logs"))
 
 from can_logs import message, write_dbc
 
 import fuzzing
-from hitchid.data.signal_map import read_campaign_file
 from hitchid.errors import HitchError, InputError, LogError, ModelFolderError, SettingsError
 from hitchid.identification.settings_file import read_settings
+from hitchid.logs import ReaderProcess, find_logs, read, write_table
+from hitchid.logs.signal_map import read_campaign_file
 from hitchid.model import load
-from hitchid.model.artifact import load_trace
-from hitchid.readers import ReaderProcess, find_logs, read, write_table
+from hitchid.model.folder import load_trace
 
 MOST_MEMORY_KB = 2 * 2**20
 HEADER = b"time_s,current_up_A,current_down_A,displacement_mm\n"

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from hitchid import identify, read, validate
-from hitchid.data.record import LOWERING
 from hitchid.identification import MultiStart, Whale
 from hitchid.identification.identify import PAPER_SPECS
 from hitchid.identification.phase1 import find_parameters
 from hitchid.identification.preparation import prepare
+from hitchid.logs.record import LOWERING
 
 pytestmark = pytest.mark.long
 

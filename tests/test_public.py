@@ -17,10 +17,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import hitchid
-from hitchid.experiments.virtual_campaign import write_campaign
-from hitchid.design.next_test import ExcitationLimits, design
+from hitchid.bench.virtual_campaign import write_campaign
+from hitchid.control.next_test import ExcitationLimits, design
 from hitchid.model import save
-from hitchid.model.simulate_log import simulate_log
+from hitchid.cli.simulate import simulate_log
 from hitchid.validation import compare
 
 folder, logs, out = map(Path, sys.argv[1:])

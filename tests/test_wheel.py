@@ -19,7 +19,7 @@ DATA = {
     "hitchid/report/templates/page.html",
     "hitchid/report/templates/page.css",
     "hitchid/report/templates/report.typ",
-    "hitchid/rig/parameters/nominal.toml",
+    "hitchid/bench/parameters/nominal.toml",
 }
 ENVIRONMENT = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
 

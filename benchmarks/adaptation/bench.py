@@ -8,12 +8,12 @@ from benchmarks.scheduling import FAST, campaign, without_covariates
 from jax.typing import ArrayLike
 
 import hitchid
-from hitchid.adaptation import AdaptationSettings, Adapter, AdapterState, Event, Stroke, StrokeCutter
-from hitchid.data.record import DIRECTIONS, Record
-from hitchid.experiments.conditions import Conditions
-from hitchid.experiments.work import Work, work
+from hitchid.bench import load_rig
+from hitchid.bench.virtual_campaign import Conditions
+from hitchid.bench.work import Work, work
+from hitchid.live import AdaptationSettings, Adapter, AdapterState, Event, Stroke, StrokeCutter
+from hitchid.logs.record import DIRECTIONS, Record
 from hitchid.model import Hitch
-from hitchid.rig import load_rig
 
 RIGS = {"nominal": 40.0, "heavy-cold": 5.0, "light-warm-worn": 70.0}  # °C of the oil
 TESTS = 20  # of each direction, from which a model is identified

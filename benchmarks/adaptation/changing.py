@@ -8,10 +8,10 @@ from benchmarks.adaptation.bench import RIGS, at_work, errors, identified, nomin
 from benchmarks.adaptation.figure import Figure
 from benchmarks.scheduling import show
 
-from hitchid.adaptation import AdaptationSettings, Adapter
-from hitchid.adaptation.events import CHANGE_DETECTED, LEARNED
-from hitchid.data.record import DIRECTIONS
-from hitchid.experiments.work import Work
+from hitchid.bench.work import Work
+from hitchid.live import AdaptationSettings, Adapter
+from hitchid.live.events import CHANGE_DETECTED, LEARNED
+from hitchid.logs.record import DIRECTIONS
 from hitchid.model import Hitch
 
 STROKES = 5  # of a direction, after which the model must have followed

@@ -10,11 +10,10 @@ from benchmarks.adaptation.bench import at_work, nominal, rms, run, strokes_of
 from benchmarks.adaptation.figure import Figure
 from benchmarks.scheduling import show
 
-from hitchid.adaptation import AdaptationSettings, Adapter, Changes, Event, Stroke
-from hitchid.adaptation.events import CHANGE_DETECTED, LEARNED, PROMOTED, ROLLED_BACK
-from hitchid.adaptation.stroke_errors import PIECES, StrokeErrors
+from hitchid.live import AdaptationSettings, Adapter, Changes, Event, OnlineAdaptation, Stroke
+from hitchid.live.events import CHANGE_DETECTED, LEARNED, PROMOTED, ROLLED_BACK
+from hitchid.live.stroke_errors import PIECES, StrokeErrors
 from hitchid.model import Hitch
-from hitchid.online import OnlineAdaptation
 
 STANDSTILL, BLOCK = 8_640_000, 8640  # samples of a day, and of a block of them
 # Bars: error over that of the frozen model; share of promotions that are wrong; h of strokes between false

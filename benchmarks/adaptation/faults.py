@@ -7,10 +7,10 @@ from benchmarks.adaptation.bench import at_work, nominal, run, strokes_of
 from benchmarks.adaptation.figure import Figure
 from benchmarks.scheduling import show
 
-from hitchid.adaptation import AdaptationSettings, Adapter, Stroke
-from hitchid.adaptation.events import REFUSED
-from hitchid.experiments.conditions import LITRES_PER_MIN
-from hitchid.rig import Rig, load_rig, simulate
+from hitchid.bench import Rig, load_rig, simulate
+from hitchid.bench.virtual_campaign import LITRES_PER_MIN
+from hitchid.live import AdaptationSettings, Adapter, Stroke
+from hitchid.live.events import REFUSED
 
 FAULTS = ("stuck", "jump", "sign", "dropouts", "end stop", "spikes")
 LEAST_REFUSED = 0.99  # share of the affected strokes

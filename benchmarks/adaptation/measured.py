@@ -10,8 +10,8 @@ from benchmarks.adaptation.figure import Figure
 from benchmarks.scheduling import FAST, show
 
 import hitchid
-from hitchid.data.campaign import Campaign
-from hitchid.data.record import CYCLE, DISPLACEMENT, Record
+from hitchid.logs.campaign import Campaign
+from hitchid.logs.record import CYCLE, DISPLACEMENT, Record
 from hitchid.model import Hitch
 
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[3] / "shared" / "data"))

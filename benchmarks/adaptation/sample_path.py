@@ -12,8 +12,8 @@ from benchmarks.adaptation.figure import Figure
 from benchmarks.scheduling import show
 
 from hitchid.cli.run import REHEARSAL_S
-from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT, Record
-from hitchid.online import Live, OnlineAdaptation
+from hitchid.live import Live, OnlineAdaptation
+from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT, Record
 
 DURATION_S = 60.0  # at the speed of the machine
 SAMPLE_S = 1e-3  # bar of the 99th percentile

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import hitchid
-from hitchid.data.record import DIRECTIONS
+from hitchid.logs.record import DIRECTIONS
 from hitchid.model import Hitch
 
 from .outcome import MODEL, REFUSED, Outcome, run_guarded

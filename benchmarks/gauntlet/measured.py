@@ -12,8 +12,8 @@ import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 
 import hitchid
-from hitchid.data.record import COMMAND, DISPLACEMENT, IDLE, LIFTING
 from hitchid.identification import Identification
+from hitchid.logs.record import COMMAND, DISPLACEMENT, IDLE, LIFTING
 from hitchid.structures import ModelSpec, structure_named
 
 from .bars import holds, read_bars

@@ -2,7 +2,7 @@
 
 from hitchid._support.metrics import SIGNIFICANCE
 from hitchid.validation import Accuracy
-from hitchid.validation.names import BENCHMARK, GREYBOX
+from hitchid.validation.results import BENCHMARK, GREYBOX
 
 BETTER, WORSE, ALIKE, SINGLE = "better", "worse", "not distinguishable", "one test: no standard error"
 

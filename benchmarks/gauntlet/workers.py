@@ -11,8 +11,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from hitchid._support.compilation import choose_code_generator
-from hitchid.fleet.worker import bound_memory
+from hitchid._support.jax_setup import choose_code_generator
+from hitchid.fleet.task import bound_memory
 
 from .outcome import HUNG, TRACEBACK, Outcome
 

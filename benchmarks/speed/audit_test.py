@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hitchid.audit import audit
-from hitchid.data.campaign import Campaign
-from hitchid.data.record import Record
+from hitchid.logs.audit.audit import audit
+from hitchid.logs.campaign import Campaign
+from hitchid.logs.record import Record
 
 # 2.8 hours at 100 Hz; a day has 8.64 million samples and should take no more than 10 s.
 HOLDS, HOLD_SAMPLES, STEP_S = 5000, 200, 0.01

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
-from hitchid.readers import write_table
+from hitchid.logs import write_table
 
 TESTS, SAMPLES, STEP_S = 10, 1001, 0.01
 DEAD_ZONE, NOISE_MM = 0.35, 0.05

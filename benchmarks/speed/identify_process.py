@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from hitchid._support.compilation import prepare_jax
+from hitchid._support.jax_setup import prepare_jax
 
 
 def main(folders: Sequence[Path], *, physics: bool) -> None:
@@ -20,7 +20,7 @@ def main(folders: Sequence[Path], *, physics: bool) -> None:
     from hitchid import identification
     from hitchid.identification import CompensatorConfig
     from hitchid.identification.identify import PAPER_SPECS
-    from hitchid.readers import read
+    from hitchid.logs import read
 
     options = {
         "structure": PAPER_SPECS,

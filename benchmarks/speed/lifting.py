@@ -6,10 +6,10 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid.data.record import LIFTING
 from hitchid.estimation import Objective, SearchProblem, Whale, search_problem
-from hitchid.estimation.global_search.whale import WhaleConfig
+from hitchid.estimation.whale import WhaleConfig
 from hitchid.identification.identify import PAPER_SPECS
+from hitchid.logs.record import LIFTING
 from hitchid.structures import Batch
 
 FORM = PAPER_SPECS[LIFTING]

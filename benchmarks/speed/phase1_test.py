@@ -14,11 +14,11 @@ from lifting import many_tests, objective_of, save, search, search_by_simulation
 from search_process import ITERATIONS, SEED, WHALES
 from timings import OURS, process
 
-from hitchid.data.record import LIFTING
 from hitchid.estimation import search_problem
 from hitchid.estimation.search_problem import FitnessFunction
 from hitchid.identification.preparation import prepare
-from hitchid.readers import read
+from hitchid.logs import read
+from hitchid.logs.record import LIFTING
 from hitchid.structures import Batch
 
 TIMES = 100

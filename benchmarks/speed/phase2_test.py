@@ -10,17 +10,17 @@ import pytest
 from timings import OURS
 from windows_torch import BATCH, EPOCHS, LEARNING_RATE, TORCH, MeasuredTests, fastest_threads, train
 
-from hitchid.data.record import DIRECTIONS
 from hitchid.estimation import Whale
 from hitchid.identification import AdamConfig, CompensatorConfig
 from hitchid.identification.identify import PAPER_SPECS
 from hitchid.identification.phase1 import find_parameters
 from hitchid.identification.phase2 import train_compensator
 from hitchid.identification.preparation import prepare
+from hitchid.logs import read
+from hitchid.logs.record import DIRECTIONS
+from hitchid.model.channel import ErrorPredictor, predict_errors
 from hitchid.model.load_filter import LoadFilter
-from hitchid.model.multi_step import ErrorPredictor, predict_errors
 from hitchid.networks.error_compensator import Compensator, Sample, measured_features
-from hitchid.readers import read
 from hitchid.structures import Batch
 
 SEEDS = (0, 1, 2)

@@ -15,7 +15,7 @@ def by_mealpy(path: Path) -> float:
 
 def by_hitchid(path: Path) -> float:
     """Return the best J that hitchid finds, its compiled programs in the user's cache."""
-    from hitchid._support.compilation import prepare_jax
+    from hitchid._support.jax_setup import prepare_jax
 
     prepare_jax()
     import jax

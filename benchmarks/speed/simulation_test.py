@@ -11,8 +11,8 @@ from lfilter_whale import single_threaded
 from scipy.signal import cont2discrete, lfilter, lsim
 from timings import OURS
 
-from hitchid.baselines.polynomial_run import Sections, polynomial_run
-from hitchid.rig import load_rig, simulate
+from hitchid.baselines.narx import Sections, polynomial_run
+from hitchid.bench import load_rig, simulate
 from hitchid.structures import PhysicalModel, structure_named
 
 VALUES = (20.0, 18.0, 1.8)

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hitchid.baselines.baseline import Baseline, FitContext, Sizes
-from hitchid.baselines.fitted import FittedBaseline
+from hitchid.baselines.baseline import Baseline, FitContext, FittedBaseline, Sizes
 from hitchid.structures import Batch
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hitchid.readers import ChannelSelection, Content, Format, LogChannel, match_channels
+from hitchid.logs import ChannelSelection, Content, Format, LogChannel, match_channels
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:

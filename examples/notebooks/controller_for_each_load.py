@@ -20,8 +20,7 @@
 
 # %%
 import hitchid
-from hitchid.experiments.conditions import Conditions
-from hitchid.experiments.virtual_campaign import write_campaign
+from hitchid.bench.virtual_campaign import Conditions, write_campaign
 from hitchid.identification import ModelSpec
 from hitchid.structures import CovariateEffects, structure_named
 
@@ -62,8 +61,8 @@ for name, bar in (("light", np.min(pressure.lowest)), ("heavy", np.max(pressure.
 # %%
 import jax
 
+from hitchid.bench import load_rig
 from hitchid.control import Surroundings, run_closed_loops
-from hitchid.rig import load_rig
 
 target = np.concatenate([np.full(100, 115.0), np.full(400, 135.0)])
 for name, mass_kg in (("light", 450.0), ("heavy", 1300.0)):

@@ -17,7 +17,7 @@
 # "Read the logs" and assign your columns in a `campaign.toml`.
 
 # %%
-from hitchid.experiments.virtual_campaign import write_campaign
+from hitchid.bench.virtual_campaign import write_campaign
 
 write_campaign("logs", tests={"ramp": 2, "prbs": 6}, force=True)
 
@@ -29,7 +29,7 @@ write_campaign("logs", tests={"ramp": 2, "prbs": 6}, force=True)
 
 # %%
 import hitchid
-from hitchid.audit import audit
+from hitchid.logs.audit.audit import audit
 
 campaign = hitchid.read("logs")
 for record in campaign.records:

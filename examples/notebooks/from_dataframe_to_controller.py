@@ -17,7 +17,7 @@
 # tables, start at "Model". It needs `pip install "hitchid[control]"` and pandas.
 
 # %%
-from hitchid.experiments.virtual_campaign import write_campaign
+from hitchid.bench.virtual_campaign import write_campaign
 
 write_campaign("logs", tests={"prbs": 6}, directions=["lifting"], force=True)
 

@@ -19,7 +19,7 @@
 
 # %%
 import hitchid
-from hitchid.experiments.virtual_campaign import write_campaign
+from hitchid.bench.virtual_campaign import write_campaign
 
 write_campaign("logs", tests={"prbs": 6}, force=True)
 structures = {"lifting": "integrator-second-order", "lowering": "integrator-first-order"}
@@ -92,8 +92,8 @@ class Proportional(eqx.Module):
 # %%
 import numpy as np
 
+from hitchid.bench import load_rig
 from hitchid.control import run_closed_loops
-from hitchid.rig import load_rig
 
 target = np.concatenate([np.full(100, 115.0), np.full(400, 135.0)])
 controllers = {

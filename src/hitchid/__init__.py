@@ -12,31 +12,31 @@ from typing import TYPE_CHECKING
 from hitchid.errors import HitchError as HitchError
 
 if TYPE_CHECKING:
-    from hitchid.cross_validation import cross_validate as cross_validate
-    from hitchid.data.campaign import Campaign as Campaign
-    from hitchid.data.record import Record as Record
-    from hitchid.identification import identify as identify
     from hitchid.identification import identify_many as identify_many
     from hitchid.identification import train_rivals as train_rivals
+    from hitchid.identification.cross_validation import cross_validate as cross_validate
+    from hitchid.identification.identify import identify as identify
+    from hitchid.logs import read as read
+    from hitchid.logs.campaign import Campaign as Campaign
+    from hitchid.logs.record import Record as Record
     from hitchid.model import Hitch as Hitch
     from hitchid.model import load as load
     from hitchid.model import save as save
-    from hitchid.readers import read as read
     from hitchid.validation import compare as compare
-    from hitchid.validation import validate as validate
+    from hitchid.validation.validate import validate as validate
 
     __version__: str
 
 _HOME = {
-    "Campaign": "hitchid.data.campaign",
+    "Campaign": "hitchid.logs.campaign",
     "Hitch": "hitchid.model",
-    "Record": "hitchid.data.record",
+    "Record": "hitchid.logs.record",
     "compare": "hitchid.validation",
-    "cross_validate": "hitchid.cross_validation",
+    "cross_validate": "hitchid.identification.cross_validation",
     "identify": "hitchid.identification",
     "identify_many": "hitchid.identification",
     "load": "hitchid.model",
-    "read": "hitchid.readers",
+    "read": "hitchid.logs",
     "save": "hitchid.model",
     "train_rivals": "hitchid.identification",
     "validate": "hitchid.validation",
@@ -44,22 +44,18 @@ _HOME = {
 
 # Packages of the reference that `import hitchid` gives, as `hitchid.export.to_c`.
 _PACKAGES = (
-    "adaptation",
-    "audit",
+    "bench",
     "control",
-    "design",
     "errors",
     "estimation",
-    "experiments",
     "export",
     "fleet",
+    "handover",
     "identification",
-    "inspection",
+    "live",
+    "logs",
     "model",
-    "online",
-    "readers",
     "report",
-    "rig",
     "structures",
     "uncertainty",
     "validation",

@@ -19,9 +19,9 @@ from hitchid._support.checkpoints import (
     is_run,
     remove_run,
 )
+from hitchid._support.progress import attempt
 from hitchid.errors import InputError, OutputError
 from hitchid.estimation import MultiStart
-from hitchid.identification.optional import attempt
 from hitchid.identification.selection import AutoStructure
 from hitchid.structures import ModelSpec, structure_named
 

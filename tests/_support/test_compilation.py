@@ -6,28 +6,28 @@ import sys
 
 import pytest
 
-from hitchid._support import compilation
+from hitchid._support import jax_setup
 
 
 def test_of_too_many_programs_the_newer_half_stays(tmp_path, monkeypatch):
-    monkeypatch.setattr(compilation, "MAX_PROGRAMS", 4)
+    monkeypatch.setattr(jax_setup, "MAX_PROGRAMS", 4)
     for age in range(5):
         (tmp_path / f"{age}-cache").touch()
         os.utime(tmp_path / f"{age}-cache", (1000 - age, 1000 - age))
 
-    compilation._evict_oldest(tmp_path)
+    jax_setup._evict_oldest(tmp_path)
 
     assert sorted(path.name for path in tmp_path.iterdir()) == ["0-cache", "1-cache"]
 
 
 def test_no_folder_of_programs_is_no_error(tmp_path):
-    compilation._evict_oldest(tmp_path / "none")
+    jax_setup._evict_oldest(tmp_path / "none")
 
 
 @pytest.mark.parametrize(
     ("set_by_user", "jaxlib", "expected"),
     [
-        (None, "0.10.2", compilation.CODE_GENERATOR),
+        (None, "0.10.2", jax_setup.CODE_GENERATOR),
         ("--xla_dump_to=x", "0.10.2", "--xla_dump_to=x"),
         # XLA would end the process at a flag that it no longer knows.
         (None, "0.100.0", None),
@@ -35,10 +35,10 @@ def test_no_folder_of_programs_is_no_error(tmp_path):
 )
 def test_the_code_generator_is_chosen_where_that_was_tried(monkeypatch, set_by_user, jaxlib, expected):
     environment = {} if set_by_user is None else {"XLA_FLAGS": set_by_user}
-    monkeypatch.setattr(compilation.os, "environ", environment)
-    monkeypatch.setattr(compilation, "version", lambda _: jaxlib)
+    monkeypatch.setattr(jax_setup.os, "environ", environment)
+    monkeypatch.setattr(jax_setup, "version", lambda _: jaxlib)
 
-    compilation.choose_code_generator()
+    jax_setup.choose_code_generator()
 
     assert environment.get("XLA_FLAGS") == expected
 
@@ -46,7 +46,7 @@ def test_the_code_generator_is_chosen_where_that_was_tried(monkeypatch, set_by_u
 def test_the_installed_version_knows_the_flag():
     environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
     program = (
-        "from hitchid._support.compilation import prepare_jax; prepare_jax(); import os, jax; "
+        "from hitchid._support.jax_setup import prepare_jax; prepare_jax(); import os, jax; "
         "print(jax.jit(lambda x: x + 1)(1.0), os.environ['XLA_FLAGS'])"
     )
 
@@ -54,4 +54,4 @@ def test_the_installed_version_knows_the_flag():
         [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
     )
 
-    assert run.stdout.split() == ["2.0", compilation.CODE_GENERATOR]
+    assert run.stdout.split() == ["2.0", jax_setup.CODE_GENERATOR]

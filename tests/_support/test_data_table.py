@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hitchid._support.data_table import DataTable, csv_files, stacked
 from hitchid._support.inert import printable
+from hitchid._support.tables import DataTable, csv_files, stacked
 from hitchid.errors import InputError
 
 

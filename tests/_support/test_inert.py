@@ -12,10 +12,9 @@ from rich.table import Table as RichTable
 
 from hitchid._support import inert
 from hitchid._support.console import PlainConsole, line
-from hitchid._support.data_table import DataTable
-from hitchid._support.summary import Summary
+from hitchid._support.tables import DataTable, Summary
 from hitchid.errors import InputError
-from hitchid.readers.formats.csv import write_rows
+from hitchid.logs.formats.text import write_rows
 from hostile import STRINGS, acts
 
 SHOWN = tuple(map(inert.printable, STRINGS))

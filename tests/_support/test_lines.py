@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from hitchid._support.lines import CHUNK_BYTES, CUT, MAX_LINE_BYTES, lines
+from hitchid._support.files import CHUNK_BYTES, CUT, MAX_LINE_BYTES, lines
 
 needs_posix = pytest.mark.skipif(os.name != "posix", reason="waiting for a stream needs POSIX")
 

@@ -1,4 +1,4 @@
-from hitchid._support.notices import Notice, Severity
+from hitchid._support.records import Notice, Severity
 
 
 def test_a_notice_is_printed_as_place_and_sentence():

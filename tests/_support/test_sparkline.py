@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hitchid._support.sparkline import COLUMNS, HEIGHT, MARGIN, WIDTH, sparkline
+from hitchid._support.tables import COLUMNS, HEIGHT, MARGIN, WIDTH, sparkline
 
 
 def points(picture):

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import benches
-from hitchid._support.storage import (
+from hitchid._support.files import (
     MANIFEST_FILE,
     canonical_json,
     check_file,
@@ -336,7 +336,7 @@ WRITE_TOO_MUCH = """
 import resource, sys
 from pathlib import Path
 from hitchid.errors import OutputError
-from hitchid._support.storage import write_bytes, write_files, write_folder
+from hitchid._support.files import write_bytes, write_files, write_folder
 
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 place, much = Path(sys.argv[1]), bytes(10000)

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hitchid._support.summary import MAX_LINES, MAX_WIDTH, Summary, first_notes, screen, shortened
+from hitchid._support.tables import MAX_LINES, MAX_WIDTH, Summary, first_notes, screen, shortened
 
 CELLS = st.text(max_size=200)
 

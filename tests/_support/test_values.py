@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hitchid._support.values import Value, same
-from hitchid.data.left_out import LeftOut
+from hitchid._support.records import Value, same
 from hitchid.errors import LogError
+from hitchid.logs.unification import LeftOut
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from hitchid.baselines.arx import Arx
-from hitchid.baselines.autoregression import predict_ahead
-from hitchid.baselines.linear_inputs import LinearInputs, UnpaddedTest
+from hitchid.baselines.linear import Arx, LinearInputs, UnpaddedTest, predict_ahead
 from hitchid.baselines.narx import Narx
 
 PAST, COMMAND = np.array([1.5, -0.3, -0.25]), np.array([0.2, -0.1, 0.4])

@@ -9,8 +9,14 @@ import pytest
 from plants import batch_of, context
 
 from handmade import black_box
-from hitchid.baselines.black_box import SCALINGS, BlackBoxBaseline
-from hitchid.baselines.block_signals import STEPS, block_signals, step_samples, travel_at_samples
+from hitchid.baselines.black_box import (
+    SCALINGS,
+    STEPS,
+    BlackBoxBaseline,
+    block_signals,
+    step_samples,
+    travel_at_samples,
+)
 from hitchid.errors import FitError
 
 SAMPLES, SPEED = 128, 0.4

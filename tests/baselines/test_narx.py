@@ -6,10 +6,16 @@ import numpy as np
 import pytest
 from plants import batch_of, context
 
-from hitchid.baselines.forward_regression import candidate_terms, order_of_terms
-from hitchid.baselines.linear_inputs import LinearInputs
-from hitchid.baselines.narx import Narx, NarxBaseline, narx_inputs
-from hitchid.baselines.polynomial_run import polynomial_run, sections_of
+from hitchid.baselines.linear import LinearInputs
+from hitchid.baselines.narx import (
+    Narx,
+    NarxBaseline,
+    candidate_terms,
+    narx_inputs,
+    order_of_terms,
+    polynomial_run,
+    sections_of,
+)
 
 # w(k) = 1.2 w(k−1) − 0.3 w(k−2) + 0.5 u(k−1) + 0.1 u(k−2)² − 0.05 w(k−1) u(k−2)
 TRUTH = {(1, 0): 1.2, (2, 0): -0.3, (-1, 0): 0.5, (-2, -2): 0.1, (-2, 1): -0.05}

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from plants import batch_of, context, linear_plant
 
-from hitchid.baselines.arx import ArxBaseline
+from hitchid.baselines.linear import ArxBaseline
 from hitchid.baselines.output_error import OutputErrorBaseline
 
 PAST, COMMAND = np.array([1.6, -0.63]), np.array([0.02, 0.03])

@@ -19,10 +19,10 @@ import pytest
 import benches
 import handmade
 from hitchid import cli
-from hitchid._support.storage import MANIFEST_FILE
+from hitchid._support.files import MANIFEST_FILE
 from hitchid.errors import FitError
+from hitchid.logs import read
 from hitchid.model import save
-from hitchid.readers import read
 
 COMMANDS = [command.callback.__name__ for command in cli.app.registered_commands]
 QUICK = """
@@ -744,7 +744,7 @@ def test_a_workbook_and_an_interactive_page_are_written_where_they_are_asked_for
 def test_a_workbook_without_its_package_is_refused_before_any_work(
     refused, bench_folder, model, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("hitchid.report.renderers.find_spec", lambda name: None)
+    monkeypatch.setattr("hitchid.report.write.find_spec", lambda name: None)
     for command in (("validate", model), ("compare", model, model)):
         refused(
             *command, bench_folder, "--out", tmp_path / "out", "--xlsx", said=["pip install 'hitchid[xlsx]'"]

@@ -8,7 +8,7 @@ import typer
 from typer.testing import CliRunner
 
 import fleet_rows
-from hitchid.cli.fleet_report import report
+from hitchid.cli.fleet import report
 from hitchid.errors import HitchError
 from hitchid.fleet import Store
 from hitchid.fleet.ledger import row_name

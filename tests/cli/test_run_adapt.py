@@ -8,10 +8,10 @@ from typer.testing import CliRunner
 
 import machine
 from hitchid import cli
-from hitchid.adaptation import Changes, Event, changed_model, read_events
-from hitchid.adaptation.events import LEARNED, MOVED, PROMOTED
-from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import HitchError
+from hitchid.live import Changes, Event, changed_model, read_events
+from hitchid.live.events import LEARNED, MOVED, PROMOTED
+from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.model import load, save
 from machine import STEP_S
 

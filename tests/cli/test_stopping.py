@@ -14,7 +14,7 @@ import pytest
 import benches
 import hitchid
 from hitchid._support.checkpoints import has_results, is_run
-from hitchid.readers import write_table
+from hitchid.logs import write_table
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(os.name == "nt", reason="signals are others there")]
 
@@ -37,11 +37,11 @@ import sys
 
 class Patched:
     def find_spec(self, name, path=None, target=None):
-        if name == "hitchid.readers.child":
+        if name == "hitchid.logs.reader_process":
             sys.meta_path.remove(self)
             import os, time
             from pathlib import Path
-            from hitchid.readers import formats
+            from hitchid.logs import formats
 
             def hang(path, wanted):
                 path.with_name("begun").write_text(str(os.getpid()))
@@ -57,7 +57,7 @@ COMPUTING = """
 import sys
 from pathlib import Path
 import jax
-import hitchid.inspection.inspect_logs
+import hitchid.logs.inspect
 
 def look(logs, **_):
     start = jax.numpy.ones(())
@@ -66,7 +66,7 @@ def look(logs, **_):
     Path(sys.argv[2]).with_name("begun").touch()
     endless(start).block_until_ready()
 
-hitchid.inspection.inspect_logs.inspect = look
+hitchid.logs.inspect.inspect = look
 from hitchid.__main__ import main
 main()
 """

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hitchid.data.record import LIFTING
 from hitchid.estimation import Objective
+from hitchid.logs.record import LIFTING
 from hitchid.structures import BUILT_IN, Batch, CovariateEffects, ModelSpec, structure_named
 from hitchid.structures.structure import LinearStructure
 from truth import levels

@@ -10,10 +10,10 @@ import pytest
 
 import hitchid
 from hitchid.errors import InputError, LogError
-from hitchid.readers import find_logs, format_of, write_table
-from hitchid.readers.content import ChannelSelection
-from hitchid.readers.formats import BUILT_IN, record_name
-from hitchid.validation import validate
+from hitchid.logs import find_logs, format_of, write_table
+from hitchid.logs.content import ChannelSelection
+from hitchid.logs.formats import BUILT_IN, record_name
+from hitchid.validation.validate import validate
 
 SAMPLES = 60
 RNG = np.random.default_rng(7)

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitchid.data.record import LIFTING
 from hitchid.errors import InputError
+from hitchid.logs.record import LIFTING
 from hitchid.structures import (
     BUILT_IN,
     Batch,
@@ -17,9 +17,13 @@ from hitchid.structures import (
     linearise,
     structure_named,
 )
-from hitchid.structures.cascaded_tanks import EMPTY, LOWER_BRIM
-from hitchid.structures.inertia_with_friction import SIGN_SMOOTHING
-from hitchid.structures.nonlinear import NonlinearStructure, simulate_nonlinear
+from hitchid.structures.nonlinear_structures import (
+    EMPTY,
+    LOWER_BRIM,
+    SIGN_SMOOTHING,
+    NonlinearStructure,
+    simulate_nonlinear,
+)
 from truth import STEP_S, held, levels
 
 EPS = np.finfo(np.float64).eps

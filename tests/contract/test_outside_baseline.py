@@ -9,10 +9,10 @@ import pytest
 
 import hitchid
 from hitchid.baselines.registry import all_baselines
-from hitchid.data.campaign import Campaign
-from hitchid.data.record import LIFTING, Record
 from hitchid.errors import ModelFolderError
 from hitchid.identification import AdamConfig, CompensatorConfig, MultiStart, RivalsConfig
+from hitchid.logs.campaign import Campaign
+from hitchid.logs.record import LIFTING, Record
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "baseline_from_outside"
 NAME = "constant_speed"

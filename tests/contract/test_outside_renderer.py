@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import handmade
-from hitchid.data.campaign import Campaign
-from hitchid.data.record import LIFTING, Record
 from hitchid.errors import InputError, OutputError
+from hitchid.logs.campaign import Campaign
+from hitchid.logs.record import LIFTING, Record
 from hitchid.report import registered_renderers, render
-from hitchid.validation import validate
+from hitchid.validation.validate import validate
 from truth import STEP_S
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "renderer_from_outside"

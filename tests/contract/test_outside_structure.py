@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import hitchid
-from hitchid.data.campaign import Campaign
-from hitchid.data.record import LIFTING, Record
 from hitchid.errors import InputError
 from hitchid.identification import ModelSpec, MultiStart, read_settings
-from hitchid.identification.nested_specs import largest_spec, nested_specs
+from hitchid.identification.candidates import largest_spec, nested_specs
+from hitchid.logs.campaign import Campaign
+from hitchid.logs.record import LIFTING, Record
 from hitchid.structures import CovariateEffects, PhysicalModel, registered_structures, structure_named
 from truth import STEP_S, held, levels
 

@@ -15,13 +15,13 @@ import pytest
 
 import hitchid
 from handmade import hitch, with_bands
-from hitchid._support.summary import MAX_LINES, MAX_WIDTH
-from hitchid.data.campaign import Campaign
-from hitchid.data.left_out import LeftOut
-from hitchid.data.record import KINDS, Record
+from hitchid._support.tables import MAX_LINES, MAX_WIDTH
 from hitchid.errors import HitchError, LogError
 from hitchid.identification import ChannelTrace, Identification
 from hitchid.identification.phase1 import Phase1
+from hitchid.logs.campaign import Campaign
+from hitchid.logs.record import KINDS, Record
+from hitchid.logs.unification import LeftOut
 from hitchid.model import Simulation, TwoModes
 from hitchid.structures import Structure
 from hitchid.validation import Validation
@@ -30,8 +30,8 @@ from hitchid.validation.results import Accuracy, ChannelResult, CycleResult, Mod
 from report.reported import characteristics, horizons, known_estimates, predictions
 
 ROOMS = (
-    *("audit", "baselines", "data", "design", "estimation", "estimation.global_search", "identification"),
-    *("inspection", "model", "online", "readers", "report", "rig", "structures", "studies.sun2025"),
+    *("baselines", "bench", "bench.sun2025", "control.next_test", "estimation", "handover", "identification"),
+    *("live", "logs", "logs.audit", "model", "report", "structures"),
     *("uncertainty", "validation"),
 )
 # Settings: their `repr` is the call that makes them, on one line, and stands in model folders.

@@ -22,7 +22,7 @@ from hitchid.structures import (
     linearise,
     structure_named,
 )
-from hitchid.structures.nonlinear import NonlinearStructure
+from hitchid.structures.nonlinear_structures import NonlinearStructure
 from hitchid.structures.structure import LinearStructure
 from truth import STEP_S, held, levels, shifted
 

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from hitchid.bench import load_rig, simulate
 from hitchid.control.closed_loop import Surroundings, measured_at_rest, run_closed_loops
 from hitchid.errors import InputError
-from hitchid.rig import load_rig, simulate
 
 SAMPLES, START = 150, 120.0
 TARGET = START + np.where(np.arange(SAMPLES) < 20, 0.0, 6.0)

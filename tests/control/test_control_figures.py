@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hitchid.control.closed_loop import ClosedLoops, Surroundings
-from hitchid.control.figures import Figures, iae_ratios
+from hitchid.control.drive import Figures, iae_ratios
 from hitchid.control.scenarios import Kind, Scenario
 
 BEGIN, SAMPLES, START = 100, 500, 100.0

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from hitchid.control import ClosedLoops, Kind, OpenLoop, Scenario, TrialRun
+from hitchid.control import ClosedLoops, Kind, OpenLoop, Scenario, TrialRun, drive_report, tune_report
 from hitchid.control.prediction import Band
 from hitchid.plots.style import PAGE_IN
-from hitchid.report.figures import closed_loop, open_loop
 from hitchid.report.svg import svg
 
 OMEGA = np.geomspace(0.1, 100.0, 50)
@@ -35,17 +34,17 @@ def runs() -> ClosedLoops:
 def drawn(name: str) -> Figure:
     match name:
         case "bode":
-            return open_loop.bode(loops())
+            return tune_report.bode(loops())
         case "nichols":
-            return open_loop.nichols(loops(), 1.7)
+            return tune_report.nichols(loops(), 1.7)
         case "sensitivity":
-            return open_loop.sensitivity(loops(), 1.7)
+            return tune_report.sensitivity(loops(), 1.7)
         case "steps":
             target = scenario().target
-            return open_loop.step_fan([TrialRun(TIME_S, target, runs().measured)] * 2, "mm")
+            return tune_report.step_fan([TrialRun(TIME_S, target, runs().measured)] * 2, "mm")
         case _:
             band = Band(scenario().target - 1, scenario().target + 1)
-            return closed_loop.closed_loop(scenario(), runs(), runs(), band, "SIMC PI", ("mm", "A"))
+            return drive_report.closed_loop(scenario(), runs(), runs(), band, "SIMC PI", ("mm", "A"))
 
 
 EVERY = ["bode", "nichols", "sensitivity", "steps", "closed loop"]

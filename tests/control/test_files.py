@@ -10,10 +10,10 @@ import pytest
 
 from controllers import UNITS
 from hitchid.control.files import load_controller, save_controller
-from hitchid.control.margins import Margins
+from hitchid.control.loops import Margins
 from hitchid.control.tuning import DirectionMargins, Tuning
-from hitchid.data.record import DIRECTIONS
 from hitchid.errors import OutputError, SettingsError
+from hitchid.logs.record import DIRECTIONS
 
 
 def tuning_of(controller, load, *, gain_db: float = 7.5) -> Tuning:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hitchid.control.margins import margins
+from hitchid.control.loops import margins
 
 OMEGA = np.geomspace(0.05, 300.0, 40_000)
 LOOPS = [(1.0, 0.1), (2.0, 0.2), (5.0, 0.05), (0.5, 0.9)]

@@ -7,7 +7,7 @@ import pytest
 
 import handmade
 from hitchid.control.controller import Gains
-from hitchid.control.open_loop import frequencies, open_loop, plant_response
+from hitchid.control.loops import frequencies, open_loop, plant_response
 from hitchid.structures import PhysicalModel, small_signal_at, structure_named
 
 STEP_S = 0.01

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitchid.control.pid import PidController, baselines
+from hitchid.control.scenarios import PidController, baselines
 
 TWO = jnp.ones(2)
 

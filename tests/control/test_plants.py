@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitchid.control import drive, run_plant_loops
-from hitchid.control.drive import TESTED
+from hitchid.control import run_plant_loops
+from hitchid.control.drive import TESTED, drive
+from hitchid.control.drive_report import drive_report
 from hitchid.control.scenarios import Kind, plant_scenarios
 from hitchid.errors import InputError
-from hitchid.report import drive_report
 
 STEP_S = 0.01
 

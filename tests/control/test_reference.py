@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hitchid.control.reference import Reference, ReferenceLimits
+from hitchid.control.controller import Reference, ReferenceLimits
 
 STEP_S = 0.01
 LIMITS = ReferenceLimits(jnp.array([15.0, 10.0]), jnp.array([180.0, 90.0]))

@@ -11,21 +11,23 @@ from typer.testing import CliRunner
 
 import hitchid
 from hitchid.cli import app
-from hitchid.control import Tuning, direction_loops, limitation, load_controller, save_controller, tune
-from hitchid.control.direction_loops import (
+from hitchid.control import Tuning, limitation, load_controller, save_controller, tune
+from hitchid.control import loops as direction_loops
+from hitchid.control.limits import check_drive, read_drive_limits
+from hitchid.control.loops import (
     MAX_SENSITIVITY,
     MIN_DEAD_TIMES,
     MIN_GAIN_DB,
     MIN_PHASE_DEG,
     DirectionLoops,
+    lqi_gains,
+    pi_gains,
 )
-from hitchid.control.gain_design import lqi_gains, pi_gains
-from hitchid.control.limits import check_drive, read_drive_limits
 from hitchid.control.prediction import loads_of_channels
+from hitchid.control.tune_report import tune_report
 from hitchid.control.tuning import LOWEST_RAD_S, check_tunable, fastest_gains
 from hitchid.errors import InputError, SettingsError
 from hitchid.identification import read_settings
-from hitchid.report import tune_report
 
 SETTINGS = """
 [lifting]

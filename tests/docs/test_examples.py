@@ -20,9 +20,10 @@ from typer.testing import CliRunner
 import hitchid
 from hitchid import cli
 from hitchid.control.limits import read_drive_limits
-from hitchid.data.signal_map import read_campaign_file
 from hitchid.errors import InputError
-from hitchid.identification import identify, read_settings
+from hitchid.identification import read_settings
+from hitchid.identification.identify import identify
+from hitchid.logs.signal_map import read_campaign_file
 from hitchid.validation import read_limits
 
 pytestmark = pytest.mark.long

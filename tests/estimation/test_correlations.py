@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hitchid.data.record import LIFTING
 from hitchid.estimation import Objective, search_problem
 from hitchid.estimation.correlations import (
     MAX_SAMPLES,
@@ -15,6 +14,7 @@ from hitchid.estimation.correlations import (
     CorrelationObjective,
     correlations_applicable,
 )
+from hitchid.logs.record import LIFTING
 from hitchid.structures import BUILT_IN, Batch, ModelSpec, discretise, pulse_response, structure_named
 from hitchid.structures.discretisation import simulate_linear
 from hitchid.structures.structure import LinearStructure

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from hitchid.errors import FitError, InputError
 from hitchid.estimation import SearchProblem, refine
-from hitchid.estimation.global_search.whale import WhaleConfig
 from hitchid.estimation.least_squares import StopReason
 from hitchid.estimation.search_problem import NormalEquations
+from hitchid.estimation.whale import WhaleConfig
 from hitchid.identification import DifferentialEvolution, MultiStart, Whale
 
 OPTIMUM = np.array([0.31, 0.83, 0.17])

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from hitchid._support.checkpoints import Checkpoints
-from hitchid.data.record import LIFTING, Record
 from hitchid.errors import FitError
 from hitchid.estimation import (
     DifferentialEvolution,
@@ -22,6 +21,7 @@ from hitchid.estimation import (
     Whale,
 )
 from hitchid.estimation.search_history import SAMPLES, compare_searches, default_searches
+from hitchid.logs.record import LIFTING, Record
 from hitchid.structures import Batch, ModelSpec, structure_named
 from truth import held, lag, levels
 

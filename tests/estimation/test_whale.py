@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from jax.experimental import io_callback
 
 from hitchid.errors import InputError
-from hitchid.estimation.global_search import whale
-from hitchid.estimation.global_search.whale import WhaleConfig
+from hitchid.estimation import whale
+from hitchid.estimation.whale import WhaleConfig
 
 OPTIMUM = np.array([0.31, 0.83, 0.17])
 TURN, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))
@@ -25,7 +25,7 @@ def search_of(objective, dimensions, swarm):
 
     @jax.jit
     def run(carry, draws):
-        return whale.outcome(whale.run_until(objective, carry, swarm, draws, swarm.generations), swarm)
+        return whale.whale_result(whale.run_until(objective, carry, swarm, draws, swarm.generations), swarm)
 
     return lambda seed: run(*whale.begin(dimensions, swarm, seed))
 
@@ -226,6 +226,6 @@ def test_a_search_that_is_looked_at_on_its_way_ends_where_it_would_have(stagnati
         carry, _ = whale.begin(3, swarm, 4)
         for until in stops:
             carry = proceed(carry, jnp.asarray(until))
-        found = whale.outcome(carry, swarm)
+        found = whale.whale_result(carry, swarm)
         for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(at_once), strict=True):
             np.testing.assert_array_equal(one, other)

@@ -3,7 +3,7 @@
 import pytest
 from export_models import MODELS
 
-from hitchid.export.compiler import find_compiler
+from hitchid.export.verification import find_compiler
 from hitchid.model import Hitch
 
 

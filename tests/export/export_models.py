@@ -5,7 +5,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 
-from hitchid.data.record import LIFTING, LOWERING
+from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.model import Channel, Hitch
 from hitchid.model.limits import TravelLimits
 from hitchid.model.load_filter import LoadFilter

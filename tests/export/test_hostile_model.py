@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 from export_models import MODELS
 
+from hitchid._support.files import write_files
 from hitchid._support.inert import comment, printable
-from hitchid._support.storage import write_files
 from hitchid.export.c_templates import c_templates
 from hitchid.export.constants import constants_of
-from hitchid.export.fmu_variables import fmu_variables
-from hitchid.export.model_description import model_description
+from hitchid.export.model_description import fmu_variables, model_description
 from hitchid.export.verification import run_replay
 from hostile import STRINGS
 

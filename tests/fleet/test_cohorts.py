@@ -6,7 +6,7 @@ from scipy.stats import kstest
 from simulated_fleets import binomial_tolerance, simulated_fleet
 
 from hitchid.errors import InputError
-from hitchid.fleet.cohorts import LEVEL, compare_cohorts
+from hitchid.fleet.outliers import LEVEL, compare_cohorts
 
 MACHINES = 60
 TYPES = np.array(["small", "medium", "large"])

@@ -8,15 +8,14 @@ import pytest
 
 import hitchid
 from benches import binary_command, lagged_integrator
-from hitchid.data.record import COMMAND, DISPLACEMENT, Record
 from hitchid.errors import InputError
 from hitchid.fleet import Runner, Store, identify_fleet, ranked, read_rows, validate_fleet
-from hitchid.fleet.drift import drift_of, fit_change
+from hitchid.fleet.jobs import ValidationJob, drift_of, fit_change
 from hitchid.fleet.ledger import load_model
-from hitchid.fleet.machines import machines_of
+from hitchid.fleet.store import machines_of
 from hitchid.fleet.task import run_task
-from hitchid.fleet.validate_machine import ValidationJob
-from hitchid.readers import write_table
+from hitchid.logs import write_table
+from hitchid.logs.record import COMMAND, DISPLACEMENT, Record
 
 GAIN, DEAD_ZONE, NOISE_MM = 30.0, 0.35, 0.02
 TESTS = 8

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hitchid.errors import InputError
-from hitchid.fleet.arguments import checked_estimates
+from hitchid.fleet.random_effects import checked_estimates
 
 ESTIMATES, COVARIANCES = np.zeros((4, 2)), np.tile(np.eye(2), (4, 1, 1))
 

@@ -8,8 +8,7 @@ import pytest
 import fleet_rows
 from hitchid.errors import InputError
 from hitchid.fleet import compare_fleet
-from hitchid.fleet.metadata import Metadata
-from hitchid.fleet.parameters import NAMES
+from hitchid.fleet.parameters import NAMES, Metadata
 
 FAULTS = {7: {"gain_factor": 0.85}, 2: {"dead_zone_shift": 0.035}}
 LATER = "2027-03-01T08:00:00+00:00"

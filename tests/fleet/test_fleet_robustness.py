@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import chi2, norm
 
-from hitchid.fleet.robustness import CLIP, constants_of, normal_constants, weights
+from hitchid.fleet.random_effects import CLIP, constants_of, normal_constants, weights
 
 
 def expectation(function, parameters, limit):

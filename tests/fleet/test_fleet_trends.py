@@ -5,7 +5,7 @@ import pytest
 from simulated_fleets import binomial_tolerance
 
 from hitchid.errors import InputError
-from hitchid.fleet.trends import LEVEL, fit_trends
+from hitchid.fleet.outliers import LEVEL, fit_trends
 
 TIMES = np.array([0.0, 300.0, 500.0, 1200.0, 2000.0])  # h
 

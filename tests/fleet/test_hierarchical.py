@@ -7,8 +7,7 @@ from scipy.stats import t
 from simulated_fleets import binomial_tolerance, simulated_fleet
 
 from hitchid.errors import InputError
-from hitchid.fleet.hierarchical import LEVEL, fit_hierarchy
-from hitchid.fleet.multivariate_reml import _criterion, estimates_of
+from hitchid.fleet.populations import LEVEL, _criterion, estimates_of, fit_hierarchy
 
 MEAN, BETWEEN = (3.0, -1.0), ((1.0, 0.5), (0.5, 1.0))
 UNITS = np.array([0.01, 3e-3])  # of a relative gain and of a dead zone in A

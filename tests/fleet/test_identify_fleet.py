@@ -22,12 +22,10 @@ import pytest
 import hitchid
 from hitchid.errors import InputError, OutputError
 from hitchid.fleet import FleetResult, Runner, Store, StoreError, identify_fleet, read_rows
-from hitchid.fleet.cluster import check_scheduler, run_on_cluster
-from hitchid.fleet.identify import identification_job
-from hitchid.fleet.identify_machine import IdentificationJob
+from hitchid.fleet.jobs import IdentificationJob, identification_job
 from hitchid.fleet.ledger import load_model, newest
-from hitchid.fleet.local import MAX_DEATHS, run_local
-from hitchid.fleet.machines import machines_of
+from hitchid.fleet.runners import MAX_DEATHS, check_scheduler, run_local, run_on_cluster
+from hitchid.fleet.store import machines_of
 from hitchid.fleet.task import UNFINISHED, run_task
 
 MACHINES = 3
@@ -364,7 +362,7 @@ def test_results_in_the_store_of_logs_are_refused(place, logs):
 
 def test_a_worker_has_its_core_before_numpy_counts_the_cores():
     """Threads of matrix products, which round differently, are as many as the cores at the first import."""
-    code = "import sys, hitchid.fleet.local, hitchid.fleet.task; assert 'numpy' not in sys.modules"
+    code = "import sys, hitchid.fleet.runners, hitchid.fleet.task; assert 'numpy' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)  # noqa: S603
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hitchid.fleet.multiple_testing import adjusted_p_values
+from hitchid.fleet.random_effects import adjusted_p_values
 
 
 def test_the_paper_s_example_has_four_discoveries():

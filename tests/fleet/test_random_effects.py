@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from simulated_fleets import simulated_fleet
 
-from hitchid.fleet.random_effects import fit_random_effects
-from hitchid.fleet.robustness import normal_constants
+from hitchid.fleet.random_effects import fit_random_effects, normal_constants
 
 NORMAL = np.random.default_rng(0).standard_normal(40)
 

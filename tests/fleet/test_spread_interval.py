@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 from simulated_fleets import binomial_tolerance, simulated_fleet
 
-from hitchid.fleet.spread_interval import LEVEL, spread_interval
+from hitchid.fleet.random_effects import LEVEL, spread_interval
 
 VALUES = 2 * np.random.default_rng(0).standard_normal(30)
 

@@ -5,8 +5,8 @@ import pytest
 
 from fake_bench import LIMITS
 from hitchid.errors import InputError
-from hitchid.hmi.drive_program import Target, check_clock_and_units, drive
-from hitchid.hmi.limits import Limits
+from hitchid.hmi.plans import Limits
+from hitchid.hmi.program import Target, check_clock_and_units, drive
 
 
 class Proportional:

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hitchid.hmi import history as module
+from hitchid.hmi import recorder as module
 from hitchid.hmi.clients import MOST_TEXTS, MOST_WAITING, Client, Clients
-from hitchid.hmi.history import History, SpeedEstimate, block_of, packed_rows
+from hitchid.hmi.recorder import History, SpeedEstimate, block_of, packed_rows
 
 STEP_S = 0.01
 

@@ -8,11 +8,10 @@ import pytest
 import handmade
 import hitchid
 from handmade import DEAD_ZONES, GAINS, STEP_S
-from hitchid.adaptation import Changes, Event, changed_model, read_events
 from hitchid.errors import InputError, OutputError
-from hitchid.hmi import model_adaptation
+from hitchid.hmi import model_beside
 from hitchid.hmi.monitor_loop import AHEAD, FREE_RUN, HORIZON_S, MonitorLoop
-from hitchid.online import OnlineAdaptation
+from hitchid.live import Changes, Event, OnlineAdaptation, changed_model, read_events
 
 MODEL = handmade.hitch()
 LIFT, START = 0.5, 100.0
@@ -167,7 +166,7 @@ def adapted(monkeypatch, tmp_path):
         return made[-1]
 
     def make(units=A_MM):
-        monkeypatch.setattr(model_adaptation, "OnlineAdaptation", remembered)
+        monkeypatch.setattr(model_beside, "OnlineAdaptation", remembered)
         loop = MonitorLoop(MODEL, units, STEP_S)
         loop.adapt(tmp_path / "changes" / "a.jsonl")
         while loop.adaptation.model is None:
@@ -275,7 +274,7 @@ def test_a_model_that_cannot_be_adapted_is_used_as_identified_and_the_page_is_to
     def refuse(*_, **__):
         raise InputError("the model was adapted already")
 
-    monkeypatch.setattr(model_adaptation, "OnlineAdaptation", refuse)
+    monkeypatch.setattr(model_beside, "OnlineAdaptation", refuse)
     loop = MonitorLoop(MODEL, A_MM, STEP_S)
     loop.adapt(tmp_path / "a.jsonl")
     assert loop.news_of_adaptation()["state"] == "starting"

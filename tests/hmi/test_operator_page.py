@@ -14,7 +14,7 @@ import handmade
 import hitchid
 from browser import chromium
 from fake_bench import LIMITS_FILE
-from hitchid.adaptation import Changes, Event, read_events
+from hitchid.live import Changes, Event, read_events
 from hitchid.model import save
 
 pytestmark = pytest.mark.long

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid.errors import InputError, SettingsError
-from hitchid.hmi.limits import Limits, read_limits
-from hitchid.hmi.plans import MOST_BYTES, MOST_SAMPLES, read_commands, read_plan
+from hitchid.hmi.plans import MOST_BYTES, MOST_SAMPLES, Limits, read_commands, read_limits, read_plan
 
 CAMPAIGN = {"kind": "campaign", "name": "monday"}
 JSON = st.recursive(

@@ -6,13 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fake_bench import DEAD_ZONES, GAINS, LIMITS, STEP_S, STROKE, Plant
-from hitchid.data.record import DIRECTIONS
 from hitchid.errors import InputError
-from hitchid.hmi import campaign as campaigns
-from hitchid.hmi.campaign import START, campaign
-from hitchid.hmi.limits import MARGIN, Limits
-from hitchid.hmi.plans import CampaignPlan
+from hitchid.hmi import run as campaigns
+from hitchid.hmi.plans import MARGIN, CampaignPlan, Limits
 from hitchid.hmi.program import COAST_S, MOVE_STROKES_PER_S, RISE_S, SETTLE_S, STALLED_S, apply, move
+from hitchid.hmi.run import START, campaign
+from hitchid.logs.record import DIRECTIONS
 
 UNITS = ("A", "mm")
 SPEED = MOVE_STROKES_PER_S * STROKE  # mm/s, wanted speed of a move

@@ -18,8 +18,8 @@ from hitchid.hmi.safety import State
 from hitchid.hmi.source import Source
 from hitchid.hmi.sources import make_source
 from hitchid.hmi.sources.json_lines import MOST_BYTES, FileTransport, JsonLines, UdpTransport
-from hitchid.hmi.sources.replay import Replay
-from hitchid.readers import read
+from hitchid.hmi.sources.simulated import Replay
+from hitchid.logs import read
 
 STEP_S = 0.01
 

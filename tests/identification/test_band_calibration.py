@@ -9,18 +9,23 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hitchid.baselines.persistence import delayed
-from hitchid.data.record import LIFTING
+from hitchid.baselines.registry import delayed
 from hitchid.estimation.training import AdamConfig
-from hitchid.identification import ModelSpec, MultiStart, band_calibration
-from hitchid.identification.band_calibration import FEWEST_TESTS, band_notices, calibrate_bands
-from hitchid.identification.cross_fitting import cross_fitted
-from hitchid.identification.held_out_compensators import CompensatorTraining, with_compensators
+from hitchid.identification import ModelSpec, MultiStart, held_out_training
+from hitchid.identification.held_out import cross_fitted
+from hitchid.identification.held_out_training import (
+    FEWEST_TESTS,
+    CompensatorTraining,
+    band_notices,
+    calibrate_bands,
+    with_compensators,
+)
 from hitchid.identification.phase1 import identify_benchmark
 from hitchid.identification.phase2 import CompensatorConfig, train_compensator
+from hitchid.logs.record import LIFTING
 from hitchid.model import Channel, EnsembleMember
 from hitchid.model.bands import free_run_half_width
-from hitchid.model.ensemble import ensemble_deviations
+from hitchid.model.free_run import ensemble_deviations
 from hitchid.model.load_filter import LoadFilter
 from hitchid.networks.operating_range import OperatingRange
 from hitchid.structures import Batch, structure_named
@@ -180,9 +185,9 @@ def test_few_tests_are_enough_and_their_band_holds_each_of_them(make_record):
 
 def test_an_ensemble_member_that_diverges_is_left_out(make_record, monkeypatch):
     channel, phase1, bands = calibrated(exchangeable(make_record, np.random.default_rng(5), 4))
-    found = band_calibration._ensemble(channel, phase1)
+    found = held_out_training._ensemble(channel, phase1)
     endless = replace(found[0], benchmark=tuple(np.full_like(found[0].benchmark, np.inf)))
-    monkeypatch.setattr(band_calibration, "_ensemble", lambda *_: [*found, endless])
+    monkeypatch.setattr(held_out_training, "_ensemble", lambda *_: [*found, endless])
     batch = phase1.fit.objective.batch
     held_out = cross_fitted(channel, phase1)
     assert calibrate_bands(channel, phase1, batch, held_out) == bands
@@ -202,7 +207,7 @@ def test_bands_are_in_the_displacement_s_unit(make_record):
 
 def test_a_member_is_a_standard_error_away_or_as_far_as_bounds_allow(make_record):
     channel, phase1, _ = calibrated(exchangeable(make_record, np.random.default_rng(7), TESTS))
-    (member,) = band_calibration._ensemble(channel, phase1)
+    (member,) = held_out_training._ensemble(channel, phase1)
     assert isinstance(member, EnsembleMember)
     (estimate,) = phase1.parameter_estimates
     # The step is taken in the logarithm of the gain.
@@ -210,6 +215,6 @@ def test_a_member_is_a_standard_error_away_or_as_far_as_bounds_allow(make_record
     assert step == pytest.approx(estimate.error / estimate.value, rel=1e-6)
     # A gain that was calibrated on whole logs carries its factor over to the members.
     scaled = replace(channel, benchmark=channel.benchmark.with_gain(1.05))
-    (moved,) = band_calibration._ensemble(scaled, phase1)
+    (moved,) = held_out_training._ensemble(scaled, phase1)
     assert moved.benchmark[0] == pytest.approx(1.05 * member.benchmark[0], rel=1e-12)
     assert jnp.isfinite(scaled.benchmark.gain)

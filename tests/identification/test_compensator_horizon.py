@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 import handmade
-from hitchid.data.record import LIFTING
-from hitchid.identification.compensator_horizon import diverging, judge_compensator
-from hitchid.identification.cross_fitting import HeldOut
-from hitchid.identification.held_out_predictions import held_out_errors, within_a_second
+from hitchid.identification.held_out import HeldOut, held_out_errors, within_a_second
+from hitchid.identification.held_out_training import diverging, judge_compensator
+from hitchid.logs.record import LIFTING
 from hitchid.model import Channel
 from hitchid.structures import Batch
-from hitchid.uncertainty.prediction_spread import HeldOutErrors
+from hitchid.uncertainty.conformal import HeldOutErrors
 from truth import levels
 
 SAMPLES, TESTS = 150, 4

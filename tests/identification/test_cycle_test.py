@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from handmade import STEP_S, hitch
-from hitchid.data.record import Record
-from hitchid.identification.cycle_test import cycle_errors, without_speed_compensators
+from hitchid.identification.campaign_job import cycle_errors, without_speed_compensators
+from hitchid.logs.record import Record
 
 
 @pytest.fixture(scope="module")

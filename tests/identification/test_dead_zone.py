@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import LogError
 from hitchid.identification.dead_zone import (
     CANDIDATES,
@@ -16,6 +15,7 @@ from hitchid.identification.dead_zone import (
     ramp_rate,
     response_delay,
 )
+from hitchid.logs.record import LIFTING, LOWERING
 from truth import STEP_S, held, levels, shifted
 
 # The current sensor of the bench: 0.3 % of 3 A. Nobody can read a dead zone better off its logs.

@@ -6,9 +6,9 @@ from inspect import signature
 import pytest
 
 from hitchid.estimation import DifferentialEvolution, MultiStart
-from hitchid.estimation.global_search.search import Search
+from hitchid.estimation.searches import Search
 from hitchid.identification import read_settings
-from hitchid.identification.arguments import identification_config
+from hitchid.identification.config import identification_config
 from hitchid.identification.identify import DEFAULT_STRUCTURES, PAPER_SPECS, identify
 
 NOT_SETTINGS = ("campaign", "progress", "checkpoints", "on_physics")

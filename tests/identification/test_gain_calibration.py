@@ -7,13 +7,8 @@ import pytest
 
 import handmade
 from handmade import GAINS
-from hitchid.data.record import LIFTING, LOWERING
-from hitchid.identification.gain_calibration import (
-    MAX_LOG_FACTOR,
-    calibrate_gains,
-    calibration_improves,
-    scaled,
-)
+from hitchid.identification.mode_test import MAX_LOG_FACTOR, calibrate_gains, calibration_improves, scaled
+from hitchid.logs.record import LIFTING, LOWERING
 
 HITCH = handmade.hitch("integrator")
 SAMPLES = 400

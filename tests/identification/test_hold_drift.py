@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handmade import DEAD_ZONES
-from hitchid.identification.hold_drift import SETTLED_S, SHORTEST_S, hold_drift
+from hitchid.identification.campaign_job import SETTLED_S, SHORTEST_S, hold_drift
 
 STEP_S = 0.01
 SETTLED, SHORTEST = round(SETTLED_S / STEP_S), round(SHORTEST_S / STEP_S)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from benches import binary_command, lagged_integrator
-from hitchid.data.campaign import Campaign
-from hitchid.data.record import LIFTING, LOWERING
 from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.mode_test import compare_modes
 from hitchid.identification.preparation import prepare
+from hitchid.logs.campaign import Campaign
+from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.model import TwoModes
 from hitchid.model.provenance import DifferenceTest
 

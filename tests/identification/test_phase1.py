@@ -8,14 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from hitchid.data.record import LIFTING
 from hitchid.errors import FitError, InputError
 from hitchid.estimation import Search, SearchResult
-from hitchid.estimation.global_search.whale import WhaleConfig
 from hitchid.estimation.objective import GAIN_RIDGE, RIDGE_FLOOR, Objective, _per_test_gain_residuals
+from hitchid.estimation.whale import WhaleConfig
 from hitchid.identification import ModelSpec, MultiStart, Whale
 from hitchid.identification.direction import _within_update_interval
 from hitchid.identification.phase1 import identify_benchmark
+from hitchid.logs.record import LIFTING
 from hitchid.structures import Batch, structure_named
 from truth import STEP_S, held, lag, levels, second_order, shifted
 

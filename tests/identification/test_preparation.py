@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hitchid._support.notices import Notice
-from hitchid.data.campaign import Campaign
-from hitchid.data.record import LIFTING, LOWERING
+from hitchid._support.records import Notice
 from hitchid.errors import InputError
 from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.preparation import mixed_dead_zones, prepare
+from hitchid.logs.campaign import Campaign
+from hitchid.logs.record import LIFTING, LOWERING
 from truth import STEP_S, held, levels
 
 SAMPLES = 300

@@ -7,13 +7,17 @@ import numpy as np
 import pytest
 
 from hitchid._support.metrics import better_on_held_out_tests
-from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import SettingsError
 from hitchid.identification import AutoStructure, MultiStart, read_settings
-from hitchid.identification.candidates import Candidate, best_candidate, operating_point_folds
+from hitchid.identification.candidates import (
+    Candidate,
+    best_candidate,
+    covariate_specs,
+    operating_point_folds,
+)
 from hitchid.identification.identify import DEFAULT_STRUCTURES
-from hitchid.identification.nested_specs import covariate_specs
 from hitchid.identification.selection import choose_spec, covariate_candidates
+from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.structures import Batch, CovariateEffects, ModelSpec, Scales, structure_named
 from truth import levels
 

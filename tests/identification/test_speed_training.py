@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitchid.data.record import LIFTING
 from hitchid.identification import SpeedCompensatorConfig
-from hitchid.identification.cross_fitting import HeldOut, folds_of
 from hitchid.identification.direction import operating_range_of
+from hitchid.identification.held_out import HeldOut, folds_of
 from hitchid.identification.speed_training import train_speed_compensator
+from hitchid.logs.record import LIFTING
 from hitchid.model import Channel
 from hitchid.structures import Batch, PhysicalModel, structure_named
 from truth import STEP_S, levels

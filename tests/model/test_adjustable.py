@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import handmade
-from hitchid._support.precision import double_precision
-from hitchid.adaptation import Changes, changed_model
-from hitchid.data.record import LIFTING, LOWERING
-from hitchid.model.adjustable import AdjustableHitch, numbers_of_models
+from hitchid._support.jax_setup import double_precision
+from hitchid.live import Changes, changed_model
+from hitchid.live.parameters import AdjustableHitch, numbers_of_models
+from hitchid.logs.record import LIFTING, LOWERING
 from truth import levels
 
 CHANGES = {LIFTING: Changes(0.1, 0.02, 0.3), LOWERING: Changes(-0.2, -0.03, -0.1)}

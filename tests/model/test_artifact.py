@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from safetensors.numpy import load_file
 
 from handmade import hitch
-from hitchid._support.storage import canonical_json, digest
-from hitchid.data.record import LIFTING
+from hitchid._support.files import canonical_json, digest
 from hitchid.errors import ModelFolderError, OutputError
+from hitchid.logs.record import LIFTING
 from hitchid.model import Provenance, load, save
 
 FILES = ("model.json", "weights.safetensors", "trace.json", "rivals.json", "rivals.safetensors")

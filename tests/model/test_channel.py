@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from handmade import DEAD_ZONES, ERROR_STEP, WINDOW, channel, envelope, hitch, hitch_of
-from hitchid.data.record import LIFTING, LOWERING
+from hitchid.logs.record import LIFTING, LOWERING
 from truth import levels
 
 SAMPLES = 200

@@ -11,11 +11,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from handmade import DEAD_ZONES, ERROR_STEP, GAINS, VALUES, WINDOW, channel, hitch_of
-from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
+from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.model.dynamics import HitchDynamics
-from hitchid.model.loads import mean_load
-from hitchid.model.packing import Packing
+from hitchid.model.inputs import mean_load
+from hitchid.model.step import Packing
 from hitchid.networks.error_compensator import MAX_HORIZON
 from truth import STEP_S, levels
 

@@ -5,8 +5,8 @@ import pytest
 from scipy import stats
 
 from handmade import DEAD_ZONES, GAINS, NOISE, hitch, with_bands
-from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
+from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.model import load, save
 from truth import STEP_S, levels
 

@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from handmade import DEAD_ZONES, ERROR_STEP, GAINS, hitch
-from hitchid.data.record import CYCLE, LIFTING, LOWERING
 from hitchid.errors import InputError
+from hitchid.logs.record import CYCLE, LIFTING, LOWERING
 from truth import STEP_S, levels
 
 EPS = np.finfo(np.float64).eps

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import handmade
-from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
+from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.model import save
 from hitchid.structures import PhysicalModel, structure_named
 

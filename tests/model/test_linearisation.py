@@ -7,10 +7,10 @@ import pytest
 from scipy import signal
 
 import handmade
-from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
+from hitchid.handover.linear import describing_function
+from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.model import Estimate, Estimates, Uncertainty
-from hitchid.model.linearisation import describing_function
 
 DEAD_TIME_S = 0.0317
 SPREAD = 0.1  # standard error of the logarithm of the gain

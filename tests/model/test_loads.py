@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import handmade
-from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
-from hitchid.model.loads import channel_load, covariates_of, load_row, mean_load
+from hitchid.logs.record import LIFTING, LOWERING
+from hitchid.model.inputs import channel_load, covariates_of, load_row, mean_load
 from hitchid.structures import CovariateScales, Scales, Scheduling, scheduled_quantities, structure_named
 
 INTEGRATOR = structure_named("integrator")

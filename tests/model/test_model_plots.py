@@ -8,10 +8,10 @@ import pytest
 from matplotlib.figure import Figure
 
 import handmade
-from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
+from hitchid.handover.responses import frequency_response, step_responses
+from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.model.parameter_draws import DRAWS, draw_parameters
-from hitchid.model.responses import frequency_response, step_responses
 from plotted import characteristics, hitch
 
 mpl.use("Agg")

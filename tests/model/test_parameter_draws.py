@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import handmade
-from hitchid.data.record import LIFTING
+from hitchid.logs.record import LIFTING
 from hitchid.model import Estimate, Estimates
 from hitchid.model.parameter_draws import draw_parameters
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import handmade
-from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
+from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.model import (
     Characteristics,
     Estimate,
@@ -19,12 +19,12 @@ from hitchid.model import (
     load,
     save,
 )
-from hitchid.model.information import Information
-from hitchid.report.sections.origin import origin
-from hitchid.report.sections.verdict import _parameter_finding
+from hitchid.model.estimates import Information
+from hitchid.report.origin import origin_section
 from hitchid.report.tables import parameter_table
-from hitchid.validation.notices import set_by_hand_notices
+from hitchid.report.verdict import _parameter_finding
 from hitchid.validation.report_data import Origin
+from hitchid.validation.validate import set_by_hand_notices
 from truth import STEP_S
 
 GAIN, TIME_CONSTANT = handmade.GAINS[LIFTING], 0.08
@@ -238,7 +238,9 @@ def test_a_changed_model_is_saved_and_says_so_in_validation_and_report(tmp_path)
     gain_row = parameter_table("lifting", again.uncertainty[LIFTING].benchmark).rows[0]
     assert gain_row == ("K", "mm/(s·A)", "25", "", "", "", "set by hand")
     source = Origin(again.provenance, again.step_s, {})
-    assert ("set by hand: lifting", "dead_time = 0.02, gain = 25") in origin(source, "").blocks[1].rows
+    assert ("set by hand: lifting", "dead_time = 0.02, gain = 25") in origin_section(source, "").blocks[
+        1
+    ].rows
 
 
 def test_the_report_of_a_changed_model_tells_what_has_no_interval():

@@ -11,9 +11,9 @@ import pytest
 
 import hitchid
 from handmade import hitch, with_bands
-from hitchid.data.campaign import Campaign
-from hitchid.data.left_out import LeftOut
 from hitchid.errors import LogError
+from hitchid.logs.campaign import Campaign
+from hitchid.logs.unification import LeftOut
 from hitchid.model import Provenance, TwoModes
 from hitchid.model.provenance import DifferenceTest
 from hitchid.validation import Validation

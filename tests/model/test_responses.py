@@ -7,9 +7,8 @@ import pytest
 from scipy import signal
 
 import handmade
-from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
-from hitchid.model.responses import (
+from hitchid.handover.responses import (
     Banded,
     default_duration_s,
     default_frequencies_hz,
@@ -17,6 +16,7 @@ from hitchid.model.responses import (
     frequency_response,
     step_responses,
 )
+from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.structures import structure_named
 
 DEAD_TIME_S, LEVEL, DURATION_S = 0.0317, 0.8, 1.5

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 import handmade
-from hitchid.design.next_test import Advice, Proposal, command_of, write_command
+from hitchid.cli.simulate import InitialValues, added_name, simulate_log
+from hitchid.control.next_test import Advice, Proposal, command_of, write_command
 from hitchid.errors import HitchError, InputError, OutputError
+from hitchid.logs import read
 from hitchid.model import Hitch
-from hitchid.model.simulate_log import InitialValues, added_name, simulate_log
-from hitchid.readers import read
 
 STEP_S, SAMPLES = 0.01, 120
 GAIN, ZONE = handmade.GAINS["lifting"], handmade.DEAD_ZONES["lifting"]

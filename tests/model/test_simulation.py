@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from handmade import DEAD_ZONES, GAINS, NOISE, channel, envelope, hitch, hitch_of, with_bands
 from hitchid import read
-from hitchid.data.record import COMMAND, LIFTING, LOWERING, Record
 from hitchid.errors import InputError
+from hitchid.logs.record import COMMAND, LIFTING, LOWERING, Record
 from hitchid.model import Simulation, TravelLimits
 from truth import STEP_S, levels
 

@@ -9,15 +9,15 @@ from hypothesis import given, reject
 from hypothesis import strategies as st
 
 import handmade
-from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError, OutputError
+from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.model import Characteristics, Estimate, Estimates, Quantity, SpeedPoint, Uncertainty
 from hitchid.structures import (
     NONLINEARITY_PARAMETERS,
     PhysicalModel,
     structure_named,
 )
-from hitchid.structures.static_nonlinearity import NEUTRAL
+from hitchid.structures.nonlinearity import NEUTRAL
 
 EPS = np.finfo(np.float64).eps
 CURVED = handmade.hitch_of(handmade.channel(LIFTING, "integrator-first-order", shape=True))

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import handmade
-from hitchid.data.record import LIFTING
 from hitchid.errors import InputError
+from hitchid.logs.record import LIFTING
 from hitchid.model.load_filter import LoadFilter
 from hitchid.structures import CovariateScales, Scales, Scheduling, scheduled_quantities, structure_named
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from hitchid.identification.phase2 import _sequences
+from hitchid.model.channel import ErrorPredictor, multi_step_errors
 from hitchid.model.load_filter import LoadFilter
-from hitchid.model.multi_step import ErrorPredictor, multi_step_errors
 from hitchid.networks.error_compensator import (
     FEATURES,
     Compensator,

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handmade import envelope
-from hitchid.data.record import LIFTING
 from hitchid.identification.direction import operating_range_of
+from hitchid.logs.record import LIFTING
 from hitchid.networks.operating_range import SignalRange
 from hitchid.structures import Batch
 

@@ -150,7 +150,7 @@ def test_a_figure_that_fails_is_closed():
 
 
 def fail():
-    from hitchid.plots import canvas
+    from hitchid.plots.style import canvas
 
     with canvas(None, 1, height_in=2.0):
         raise InputError("sampling")
@@ -176,7 +176,7 @@ def test_two_plots_may_share_axes():
 
 
 def test_matplotlib_is_not_imported_before_something_is_drawn():
-    code = "import sys, hitchid.data.campaign, hitchid.model, hitchid.validation; print(*sys.modules)"
+    code = "import sys, hitchid.logs.campaign, hitchid.model, hitchid.validation; print(*sys.modules)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)  # noqa: S603
     assert "hitchid.validation.validation" in run.stdout.split()
     assert "matplotlib" not in run.stdout.split()

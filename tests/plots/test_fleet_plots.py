@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
-from hitchid.plots import fleet as plots
+from hitchid.fleet import figures as plots
 
 ANGLES = 73  # points of a curve
 

@@ -5,8 +5,8 @@ from functools import cache
 
 import numpy as np
 
-from hitchid.data.record import Record
-from hitchid.data.segmentation import segments
+from hitchid.logs.kinds import segments
+from hitchid.logs.record import Record
 from hitchid.model import (
     Characteristics,
     Estimate,

@@ -5,13 +5,12 @@ import re
 import numpy as np
 import pytest
 
+from hitchid.bench import load_rig
 from hitchid.control import Drive, Figures
 from hitchid.control.drive import BASELINE, TESTED
-from hitchid.control.pid import COMPENSATED
-from hitchid.control.scenarios import scenarios
+from hitchid.control.drive_report import drive_verdict
+from hitchid.control.scenarios import COMPENSATED, scenarios
 from hitchid.report.document import Rating
-from hitchid.report.drive_report import drive_verdict
-from hitchid.rig import load_rig
 
 ORDER = (Rating.BAD, Rating.CAUTION, Rating.GOOD)
 GOOD = Figures(10.0, 0.5, 0.1, 1.0, 0.1, 0.5, 0, None, 0)

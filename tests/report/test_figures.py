@@ -18,14 +18,13 @@ from scipy.integrate import trapezoid
 
 import handmade
 import reported
-from hitchid.data.record import LIFTING
+from hitchid.logs.record import LIFTING
 from hitchid.plots.style import COLOURS, COMPARED, DECIMATION_BINS, SHADES, decimate
 from hitchid.report import figures
 from hitchid.report.figures.valve import ONSET_FACTOR
 from hitchid.report.svg import svg
 from hitchid.validation import Horizons
-from hitchid.validation.names import LABELS
-from hitchid.validation.predictions import concatenated_time
+from hitchid.validation.results import LABELS, concatenated_time
 from hitchid.validation.valve_map import valve_map
 
 RIVALS = ("lstm", "narx", "arx", "transfer_function", "benchmark", "free_run")

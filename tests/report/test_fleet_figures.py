@@ -9,9 +9,9 @@ import pytest
 
 import fleet_rows
 from hitchid.fleet import compare_fleet
-from hitchid.plots.fleet import ABSENT, FAILED, HIGHER, LOWER
+from hitchid.fleet import figures as figures
+from hitchid.fleet.figures import ABSENT, FAILED, HIGHER, LOWER
 from hitchid.plots.style import PAGE_IN
-from hitchid.report.figures import fleet as figures
 from hitchid.report.svg import svg
 
 FAULTS = {7: {"gain_factor": 0.85}, 2: {"dead_zone_shift": 0.04}}

@@ -7,9 +7,10 @@ import pytest
 
 import fleet_rows
 from hitchid.fleet import compare_fleet
-from hitchid.fleet.metadata import Metadata
-from hitchid.report import Rating, fleet_report, render
-from hitchid.report.fleet_findings import fleet_findings, q_text
+from hitchid.fleet.findings import fleet_findings, q_text
+from hitchid.fleet.parameters import Metadata
+from hitchid.fleet.report import fleet_report
+from hitchid.report import Rating, render
 
 FAULTS = {7: {"gain_factor": 0.85}, 2: {"dead_zone_shift": 0.04}, 11: {"delay_s": 0.2}}
 LATER = "2027-03-01T08:00:00+00:00"

@@ -13,13 +13,12 @@ import pytest
 from matplotlib.figure import Figure
 
 import fleet_rows
-from hitchid._support.data_table import DataTable
 from hitchid._support.inert import printable
-from hitchid.fleet import compare_fleet
+from hitchid._support.tables import DataTable
+from hitchid.fleet import compare_fleet, figures
 from hitchid.model import LoadScatter
-from hitchid.model.load_scatter import LoadOfTest
-from hitchid.plots import canvas
-from hitchid.plots.style import styled
+from hitchid.model.estimates import LoadOfTest
+from hitchid.plots.style import canvas, styled
 from hitchid.report.document import (
     Document,
     Finding,
@@ -32,9 +31,9 @@ from hitchid.report.document import (
     Table,
     Text,
 )
-from hitchid.report.figures import fleet, trust
-from hitchid.report.renderers import render
+from hitchid.report.figures import trust
 from hitchid.report.svg import svg
+from hitchid.report.write import render
 from hitchid.validation import Check, Predictions
 from hostile import HTML, MATHEMATICS, STRINGS, TERMINAL, UNICODE, acts
 
@@ -188,7 +187,7 @@ def test_names_of_tests_and_machines_are_no_mathematics():
     machines = fleet_rows.fleet(len(MATHEMATICS), faults=faults, name=MATHEMATICS.__getitem__)
     for drawn in (
         trust.loads(LoadScatter(0.03, (0.01, 0.05), 0.1, loads)),
-        fleet.verdicts(compare_fleet(machines)),
+        figures.verdicts(compare_fleet(machines)),
     ):
         root = ElementTree.fromstring(svg(drawn))  # noqa: S314 - our own
         shown = {"".join(element.itertext()) for element in root.iter("{http://www.w3.org/2000/svg}text")}

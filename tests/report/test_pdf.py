@@ -126,7 +126,7 @@ def test_a_table_without_a_row_is_still_a_table(made, words):
 
 
 def test_a_pdf_that_cannot_be_made_is_refused_early(monkeypatch):
-    monkeypatch.setattr("hitchid.report.renderers.find_spec", lambda name: None)
+    monkeypatch.setattr("hitchid.report.write.find_spec", lambda name: None)
     check_renderers([])
     check_renderers(["html", "interactive"])
     with pytest.raises(InputError, match=r"hitchid\[pdf\]"):

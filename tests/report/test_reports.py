@@ -15,15 +15,18 @@ import pytest
 import benches
 import handmade
 import reported
-from hitchid._support.versions import installed_versions
-from hitchid.data.record import LIFTING, LOWERING
+from hitchid._support.jax_setup import installed_versions
 from hitchid.errors import InputError, OutputError
+from hitchid.logs import read, write_table
+from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.model import Provenance, Uncertainty
-from hitchid.readers import read, write_table
-from hitchid.report import FIGURES, Pictures, Rating, Table, sections, write_report
+from hitchid.report import FIGURES, Pictures, Rating, Table, write_report
 from hitchid.report.document import Findings
-from hitchid.validation import ModelFigures, RunFigures, compare, read_limits, validate
+from hitchid.report.origin import logs_section, origin_section
+from hitchid.report.verdict import limits_section, verdict_section
+from hitchid.validation import ModelFigures, RunFigures, compare, read_limits
 from hitchid.validation.report_data import Origin, log_data
+from hitchid.validation.validate import validate
 
 MODES = (LIFTING, LOWERING)
 COMMAND = "hitchid validate 'my model' logs --out report"
@@ -267,7 +270,7 @@ def judged(validated):
             lifting.accuracy, predictions=replace(tests, models=rows), models={**models, **baselines}
         )
         channels = {**result.channels, LIFTING: replace(lifting, accuracy=accuracy)}
-        return sections.verdict(replace(result, channels=channels), None)
+        return verdict_section(replace(result, channels=channels), None)
 
     return judge
 
@@ -391,11 +394,11 @@ def test_acceptance_tells_what_fails_and_stands_first_where_something_does(
     (tmp_path / "limits.toml").write_text(LIMITS.format(tests=tests, rmse=rmse))
     result = validated("lifting alone")
     acceptance = result.check(read_limits(tmp_path / "limits.toml"))
-    found = sections.verdict(result, acceptance)
+    found = verdict_section(result, acceptance)
     first = found[0] if failed else finding(found, "Accepted")
     assert first.level == (Rating.BAD if failed else Rating.GOOD)
     assert first.sentence.startswith("Not accepted" if failed else "Accepted")
-    below = sections.limits(acceptance)
+    below = limits_section(acceptance)
     assert below.title == "Acceptance"
     (table,) = blocks(below, Table)
     assert [row[-1] for row in table.rows].count("fail") == failed
@@ -439,7 +442,7 @@ def test_the_table_of_logs_says_what_each_was_used_for(logs, tmp_path):
         validation={LIFTING: ("lifting-02",)},
         seen=frozenset(records[name].fingerprint for name in ("lifting-01", "lifting-02")),
     )
-    found = sections.logs(log_data(handmade.hitch("integrator", provenance=used), campaign))
+    found = logs_section(log_data(handmade.hitch("integrator", provenance=used), campaign))
     (table,) = blocks(found, Table)
     assert {row[0]: row[2] for row in table.rows} == {
         "lifting-01": "identification",
@@ -460,7 +463,7 @@ def test_what_the_audit_found_stands_with_the_logs(logs, tmp_path):
     for row, reading in ((90, "9.0"), (120, "999.0")):  # a spike within the travel, an error code outside
         rows[row] = f"{rows[row].rpartition(',')[0]},{reading}"
     path.write_text("\n".join([header, *rows, ""]))
-    found = sections.logs(log_data(handmade.hitch("integrator"), read(place)))
+    found = logs_section(log_data(handmade.hitch("integrator"), read(place)))
     said = [item for group in blocks(found, Findings) for item in group.items]
     for finding in ("lifting-02: spikes", "lifting-02: not measured: 1 of 250 samples"):
         assert any(item.level is Rating.CAUTION and finding in item.sentence for item in said)
@@ -471,7 +474,7 @@ def test_how_to_reproduce_names_command_seed_settings_and_versions():
     provenance = Provenance(
         seed=7, settings={"search": {"evaluations": 60}}, versions={**now, "jax": "0.0.1"}, digest="f00d"
     )
-    table, settings = blocks(sections.origin(Origin(provenance, PLAIN.step_s, now), COMMAND), Table)
+    table, settings = blocks(origin_section(Origin(provenance, PLAIN.step_s, now), COMMAND), Table)
     told = dict(table.rows)
     assert told["command"] == COMMAND
     assert told["model's digest"] == "f00d"
@@ -494,7 +497,7 @@ def test_settings_are_shown_by_the_keys_and_in_the_values_of_the_settings_file()
         "drift": False,
     }
     origin = Origin(Provenance(settings=described, name="my-hitch", date="2025-03-31"), PLAIN.step_s, {})
-    table, settings = blocks(sections.origin(origin, COMMAND), Table)
+    table, settings = blocks(origin_section(origin, COMMAND), Table)
     assert dict(settings.rows) == {
         "lifting.structure": '"automatic"',
         "lifting.dead_zone": "0.35",
@@ -517,7 +520,7 @@ def test_settings_are_shown_by_the_keys_and_in_the_values_of_the_settings_file()
 @pytest.mark.parametrize("told", ["Whale(", "not a call", "f(x)", "Whale(config=WhaleConfig(population=y))"])
 def test_a_setting_that_is_no_call_of_constants_is_shown_as_text(told):
     origin = Origin(Provenance(settings={"search": told}), PLAIN.step_s, {})
-    _, settings = blocks(sections.origin(origin, COMMAND), Table)
+    _, settings = blocks(origin_section(origin, COMMAND), Table)
     assert settings.rows == (("search", f'"{told}"'),)
 
 
@@ -642,7 +645,7 @@ def test_what_is_there_is_replaced_by_force_and_only_where_it_is_a_report(write,
 def test_a_report_that_cannot_be_made_leaves_nothing_and_the_older_one(write, tmp_path, monkeypatch):
     write(tmp_path / "out")
     before = (tmp_path / "out" / "report.html").read_bytes()
-    monkeypatch.setattr("hitchid.report.renderers.find_spec", lambda name: None)
+    monkeypatch.setattr("hitchid.report.write.find_spec", lambda name: None)
     for place in (tmp_path / "new", tmp_path / "out"):
         with pytest.raises(InputError, match=r"hitchid\[pdf\]"):
             write(place, formats=["pdf"], force=True)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hitchid.data.segmentation import segments
 from hitchid.errors import OutputError
+from hitchid.logs.kinds import segments
 from hitchid.report.figures.timeline import draw, timeline
 
 UP, DOWN = np.repeat([0, 1.0, 0, 0], 50), np.repeat([0, 0, 0, 1.0], 50)

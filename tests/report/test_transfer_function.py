@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import pytest
 
 import handmade
-from hitchid.data.record import LIFTING
+from hitchid.logs.record import LIFTING
 from hitchid.report import Document, ReportSection, render
 from hitchid.report.document import Equation, Text
-from hitchid.report.sections.transfer_function import equation, transfer_function
+from hitchid.report.parameters_section import equation, transfer_function
 from hitchid.structures import PhysicalModel, structure_named
 
 STRUCTURES = ("integrator", "integrator-first-order", "first-order-lag", "integrator-second-order")

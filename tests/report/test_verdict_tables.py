@@ -8,9 +8,10 @@ import pytest
 
 import reported
 import validated
-from hitchid.data.record import LIFTING
-from hitchid.report import Rating, sections
+from hitchid.logs.record import LIFTING
+from hitchid.report import Rating
 from hitchid.report.validation_report import all_tables
+from hitchid.report.verdict import uses_section, verdict_section
 from hitchid.validation import Accuracy, ModelFigures, RunFigures
 from hitchid.validation.results import figures_by_test
 
@@ -77,7 +78,7 @@ def figure(pattern, finding):
 def test_the_verdict_follows_from_the_tables(seed):
     result = drawn(seed)
     tables = all_tables(result)
-    findings = sections.verdict(result, None)
+    findings = verdict_section(result, None)
     levels = [WORST_FIRST.index(finding.level) for finding in findings]
     assert levels == sorted(levels)
 
@@ -90,7 +91,7 @@ def test_the_verdict_follows_from_the_tables(seed):
         return table
 
     accuracy = read("lifting: accuracy on")
-    (use,) = sections.uses(result)
+    (use,) = uses_section(result)
     free_runs = {row[0]: row for row in accuracy.rows if row[1] == "free run"}
     rmse = {name: number(row[2]) for name, row in free_runs.items()}
     own, fit = rmse["grey box"], number(free_runs["grey box"][5])

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from hitchid._support.data_table import DataTable
+from hitchid._support.tables import DataTable
 from hitchid.errors import InputError
 from hitchid.report import Document, check_renderers, render
 
@@ -62,7 +62,7 @@ def test_equal_documents_give_equal_bytes(archive):
 
 def test_a_workbook_that_cannot_be_made_is_refused_before_any_work(monkeypatch):
     monkeypatch.setitem(sys.modules, "xlsxwriter", None)
-    monkeypatch.setattr("hitchid.report.renderers.find_spec", lambda name: None)
+    monkeypatch.setattr("hitchid.report.write.find_spec", lambda name: None)
     for work in (lambda: check_renderers(["xlsx"]), lambda: render(document(), "xlsx")):
         with pytest.raises(InputError, match=r"pip install 'hitchid\[xlsx\]'"):
             work()

@@ -7,8 +7,8 @@ import numpy as np
 
 import handmade
 import reported
-from hitchid.data.campaign import Campaign
-from hitchid.data.record import LIFTING, Record
+from hitchid.logs.campaign import Campaign
+from hitchid.logs.record import LIFTING, Record
 from hitchid.validation import Accuracy, ChannelResult, CycleResult, RunFigures, Validation
 from hitchid.validation.results import ModelFigures, figures_by_test
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hitchid.data.record import LIFTING
+from hitchid.logs.record import LIFTING
 from hitchid.structures import Batch, PhysicalModel, before_end_stop, structure_named
 from hitchid.structures.batch import mean_before_motion
 from truth import STEP_S, levels

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hitchid.data.record import LIFTING, Record
+from hitchid.logs.record import LIFTING, Record
 from hitchid.structures import Batch, DiscretePhysicalModel, PhysicalModel, structure_named
 
 GAIN, OMEGA, DAMPING, TRAVEL = 40.0, 8.0, 0.2, 0.5  # mm/(A s), rad/s, 1, mm

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import handmade
-from hitchid.data.record import LIFTING
 from hitchid.errors import InputError
 from hitchid.estimation import Objective
+from hitchid.logs.record import LIFTING
 from hitchid.structures import (
     Batch,
     CovariateEffects,
@@ -18,7 +18,7 @@ from hitchid.structures import (
     PhysicalModel,
     structure_named,
 )
-from hitchid.structures.scheduling import MAX_QUADRATIC_SPREADS, MAX_SPREADS
+from hitchid.structures.nonlinearity import MAX_QUADRATIC_SPREADS, MAX_SPREADS
 from truth import levels
 
 SECOND_ORDER = structure_named("integrator-second-order")

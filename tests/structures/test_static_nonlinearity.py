@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hitchid.data.record import LIFTING, Record
-from hitchid.data.test_kinds import effective_command
 from hitchid.errors import InputError
+from hitchid.logs.kinds import effective_command
+from hitchid.logs.record import LIFTING, Record
 from hitchid.structures import (
     NONLINEARITY_PARAMETERS,
     Batch,
@@ -20,7 +20,7 @@ from hitchid.structures import (
     StaticNonlinearity,
     structure_named,
 )
-from hitchid.structures.static_nonlinearity import MAX_EXTRAPOLATION, NEUTRAL, QUADRATIC_RANGE
+from hitchid.structures.nonlinearity import MAX_EXTRAPOLATION, NEUTRAL, QUADRATIC_RANGE
 from truth import STEP_S, levels
 
 EPS = np.finfo(np.float64).eps

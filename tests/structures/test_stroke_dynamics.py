@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hitchid.data.record import LIFTING, Record
 from hitchid.estimation import Objective, refine_subset
+from hitchid.logs.record import LIFTING, Record
 from hitchid.structures import (
     Batch,
     DiscretePhysicalModel,

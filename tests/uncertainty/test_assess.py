@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hitchid.data.record import LIFTING
 from hitchid.estimation import MultiStart, Objective, refine_subset
 from hitchid.identification.phase1 import find_parameters
+from hitchid.logs.record import LIFTING
 from hitchid.structures import Batch, ModelSpec, structure_named
-from hitchid.uncertainty import DeadZoneError, assess
+from hitchid.uncertainty import DeadZoneError
+from hitchid.uncertainty.intervals import assess
 from hitchid.uncertainty.profile import profile
 from truth import STEP_S, held, lag, levels, shifted
 

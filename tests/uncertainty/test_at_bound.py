@@ -4,12 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitchid.data.record import LIFTING
 from hitchid.estimation import Objective
+from hitchid.logs.record import LIFTING
 from hitchid.structures import Batch, ModelSpec, Parameter, Scales, structure_named
-from hitchid.uncertainty import assess
-from hitchid.uncertainty.at_bound import over_values_of
-from hitchid.uncertainty.parameter_result import ParameterResult
+from hitchid.uncertainty.intervals import assess
+from hitchid.uncertainty.parameter_result import ParameterResult, over_values_of
 from hitchid.uncertainty.profile import Profile
 from truth import levels
 

@@ -9,14 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
-from hitchid._support.storage import canonical_json
-from hitchid.data.record import LIFTING
+from hitchid._support.files import canonical_json
 from hitchid.estimation import MultiStart
 from hitchid.identification.phase1 import identify_benchmark
+from hitchid.logs.record import LIFTING
 from hitchid.model import Bands, EnsembleMember, Information, PredictionSpread, Uncertainty
 from hitchid.structures import Batch, ModelSpec, structure_named
 from hitchid.uncertainty import NO_ERROR, DeadZoneError
-from hitchid.uncertainty.information import (
+from hitchid.uncertainty.influence import (
     _autocovariance,
     information_of,
     profile_out_gain,

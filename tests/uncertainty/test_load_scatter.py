@@ -9,9 +9,9 @@ from pydantic import TypeAdapter
 from scipy import stats
 
 import handmade
-from hitchid.data.record import LIFTING
 from hitchid.errors import FitError
 from hitchid.estimation import Objective
+from hitchid.logs.record import LIFTING
 from hitchid.model import Estimates, Uncertainty
 from hitchid.structures import Batch, ModelSpec, structure_named
 from hitchid.uncertainty.load_scatter import Contrasts, load_scatter, scatter_of

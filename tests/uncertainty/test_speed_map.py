@@ -12,14 +12,14 @@ from pydantic import TypeAdapter
 from scipy import signal, stats
 
 import handmade
-from hitchid.data.record import LIFTING
 from hitchid.estimation import Objective, refine
+from hitchid.handover.responses import speed_lag, step_times
 from hitchid.identification import direction
 from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.phase1 import Phase1
+from hitchid.logs.record import LIFTING
 from hitchid.model import Characteristics, Estimates, Uncertainty
-from hitchid.model.step_response import speed_lag, step_times
-from hitchid.report.characteristics import characteristic_sentences
+from hitchid.report.parameters_section import characteristic_sentences
 from hitchid.structures import (
     NONLINEARITY_PARAMETERS,
     Batch,
@@ -30,12 +30,12 @@ from hitchid.structures import (
     speeds_at,
     structure_named,
 )
-from hitchid.structures.static_nonlinearity import NEUTRAL
+from hitchid.structures.nonlinearity import NEUTRAL
 from hitchid.uncertainty import DeadZoneError, characteristics
 from hitchid.uncertainty.influence import Influence, compute_influence
-from hitchid.uncertainty.operating_points import measured_speeds, operating_levels
 from hitchid.uncertainty.profile import Profile
 from hitchid.uncertainty.scores import Scores
+from hitchid.uncertainty.speed_map import measured_speeds, operating_levels
 from truth import STEP_S, held, second_order, shifted
 
 UNITS = {"x": "mm", "u": "A"}

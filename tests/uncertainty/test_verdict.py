@@ -5,7 +5,7 @@ from math import pi
 import pytest
 
 from hitchid.structures import Parameter
-from hitchid.uncertainty.verdict import verdict
+from hitchid.uncertainty.parameter_result import verdict
 
 TIME = Parameter("time_constant", "s", 1e-3, 100.0, symbol="τ")
 FREQUENCY = Parameter("natural_frequency", "rad/s", 0.5, 1000.0, symbol="ωh")

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hitchid._support.metrics import HORIZONS
 from hitchid.errors import SettingsError
-from hitchid.report.sections import check_line
+from hitchid.report.verdict import check_line
 from hitchid.validation import Accuracy, BandFigures, Horizons, ModelFigures, Predictions, RunFigures
 from hitchid.validation import check_limits as check_figures
 from hitchid.validation.limits import BASELINES, AcceptanceLimits, read_limits

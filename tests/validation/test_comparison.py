@@ -8,13 +8,14 @@ import pytest
 from handmade import DEAD_ZONES, GAINS, hitch, hitch_of, with_bands
 from handmade import channel as handmade_channel
 from hitchid._support.metrics import rmse_error
-from hitchid.data.campaign import Campaign
-from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
+from hitchid.logs.campaign import Campaign
+from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.model import Provenance
 from hitchid.report import comparison_tables
 from hitchid.report.comparison_report import verdict_text
-from hitchid.validation import Standing, compare, validate
+from hitchid.validation import Standing, compare
+from hitchid.validation.validate import validate
 from truth import STEP_S, levels
 
 RIGHT, SLOW = hitch(), hitch("first-order-lag")

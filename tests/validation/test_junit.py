@@ -5,8 +5,8 @@ from xml.etree import ElementTree
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hitchid.report.renderers.junit import junit_xml
-from hitchid.report.sections import check_line
+from hitchid.report.text import junit_xml
+from hitchid.report.verdict import check_line
 from hitchid.validation import Check
 
 KEPT = Check("lifting", "lifting: free run, RMSE", "at most 0.5 mm", "0.065 mm", True)

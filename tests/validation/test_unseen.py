@@ -8,8 +8,6 @@ import pytest
 
 from handmade import DEAD_ZONES, GAINS
 from hitchid import identify, validate
-from hitchid.data.campaign import Campaign
-from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
 from hitchid.identification import (
     AdamConfig,
@@ -18,6 +16,8 @@ from hitchid.identification import (
     MultiStart,
     SpeedCompensatorConfig,
 )
+from hitchid.logs.campaign import Campaign
+from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.structures import structure_named
 from truth import held, levels
 

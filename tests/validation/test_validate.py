@@ -9,14 +9,15 @@ import pytest
 
 from handmade import DEAD_ZONES, GAINS, channel, envelope, hitch, hitch_of, with_bands
 from hitchid._support.metrics import HORIZONS
-from hitchid.baselines.autoregression import predict_ahead
-from hitchid.data.campaign import Campaign
-from hitchid.data.record import LIFTING, LOWERING
+from hitchid.baselines.linear import predict_ahead
 from hitchid.errors import InputError, OutputError
+from hitchid.logs.campaign import Campaign
+from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.model import Provenance, SearchSummary, TwoModes, remove_padding
-from hitchid.validation import compare, validate
+from hitchid.validation import compare
 from hitchid.validation.cycles import ORIGIN_STRIDE
-from hitchid.validation.names import NAMES
+from hitchid.validation.results import NAMES
+from hitchid.validation.validate import validate
 from truth import STEP_S, levels
 
 SIZES = (200, 150, 180)

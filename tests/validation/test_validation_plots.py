@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from hitchid.data.record import LIFTING
 from hitchid.errors import InputError
-from hitchid.validation.names import label
+from hitchid.logs.record import LIFTING
+from hitchid.validation.results import label
 from plotted import comparison, predictions, residuals, validation
 
 mpl.use("Agg")

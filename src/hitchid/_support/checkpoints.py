@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from hitchid._support.storage import canonical_json, digest, write_bytes
+from hitchid._support.files import canonical_json, digest, write_bytes
 from hitchid.errors import InputError
 
 Arrays = Mapping[str, np.ndarray]

@@ -1,9 +1,64 @@
 """Progress of long work, reported by callbacks."""
 
-from collections.abc import Callable, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from threading import Lock
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
+
+from hitchid._support.jax_setup import double_precision
+from hitchid.errors import OutputError
+
+# Parallel execution of independent tasks on all cores.
+
+Name = TypeVar("Name")
+Result = TypeVar("Result")
+
+
+def parallel(work: Callable[[Name], Result], names: Iterable[Name]) -> dict[Name, Result]:
+    """Run a task for each name, in parallel on all cores and in double precision.
+
+    Threads suffice: JAX compiles and computes without Python's global interpreter lock.
+
+    Args:
+        work: the task; an exception is raised after all tasks have ended.
+        names: argument of each task.
+
+    Returns:
+        Name to result, in the order of the names.
+    """
+    with ThreadPoolExecutor(max(2, os.cpu_count() or 1)) as executor:
+        # JAX's precision is a setting per thread.
+        futures = {name: executor.submit(double_precision(work), name) for name in names}
+    return {name: future.result() for name, future in futures.items()}
+
+
+# Optional parts of a result: a part that fails is left out, with a notice.
+
+
+def attempt(description: str, compute: Callable[[], Result], notices: list[str]) -> Result | None:
+    """Compute an optional part of a result.
+
+    Args:
+        description: what it is, for the notice.
+        compute: computes it.
+        notices: gets a sentence where the part fails.
+
+    Returns:
+        The part; None where it failed, for whatever cause.
+
+    Raises:
+        OutputError: a checkpoint cannot be written, as on a full disk.
+    """
+    try:
+        return compute()
+    except OutputError:
+        raise
+    except Exception as error:
+        cause = str(error) or "no message"
+        notices.append(f"could not be computed: {description} ({type(error).__name__}: {cause})")
+        return None
 
 
 class ProgressUpdate(NamedTuple):

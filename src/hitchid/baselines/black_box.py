@@ -1,28 +1,276 @@
 """Black-box LSTM from command, load and its own displacement to speed, an ensemble trained on free runs."""
 
 from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Float32
+import optax
+from jaxtyping import Array, Float, Float32, PyTree
 
-from hitchid.baselines.baseline import Baseline, FitContext, Sizes
-from hitchid.baselines.block_signals import (
-    STEPS,
-    BlockSignals,
-    block_signals,
-    step_samples,
-    travel_at_samples,
-)
-from hitchid.baselines.ensemble_training import Sections, train_ensemble
-from hitchid.baselines.fitted import FittedBaseline
-from hitchid.baselines.integrating_lstm import SINGLE, IntegratingLstm
-from hitchid.baselines.linear_inputs import covariate_scaling, covariates_of
+from hitchid.baselines.baseline import Baseline, FitContext, FittedBaseline, Sizes
+from hitchid.baselines.linear import covariate_scaling, covariates_of
 from hitchid.errors import FitError
-from hitchid.estimation.training import weight_shapes, weights_of, with_weights
+from hitchid.estimation.training import EpochCallback, optimiser, weight_shapes, weights_of, with_weights
 from hitchid.structures import Batch, validation_mask
+
+# LSTM with its own position as an input, whose output are increments of it, in single precision.
+
+SINGLE = jnp.float32  # type of all weights, states and inputs
+
+
+class IntegratingLstm(eqx.Module):
+    """LSTM in a loop with an integrator.
+
+    At each block k: (h, c) = LSTM(inputs(k), x, h, c), then M increments σ (W h + b), added to x one by one.
+
+    An ensemble has a leading axis over its members in each array.
+
+    Attributes:
+        weight_ih: from inputs to gates i, f, g, o, shape [I, 4 H].
+        weight_hh: from the last output h and the position x to gates, shape [H + 1, 4 H].
+        bias: of the gates, shape [4 H].
+        head: from h to increments, shape [H, M].
+        head_bias: of the increments, shape [M].
+    """
+
+    weight_ih: Float32[Array, "*e i g"]
+    weight_hh: Float32[Array, "*e h1 g"]
+    bias: Float32[Array, "*e g"]
+    head: Float32[Array, "*e h m"]
+    head_bias: Float32[Array, "*e m"]
+
+    @classmethod
+    def init(cls, rng: np.random.Generator, inputs: int, hidden: int, increments: int) -> "IntegratingLstm":
+        """Return a network with gate weights uniform in ±1/√H and increments of zero: it stands still."""
+        bound = 1 / np.sqrt(hidden)
+
+        def random_weights(*shape: int) -> Array:
+            return jnp.asarray(rng.uniform(-bound, bound, shape), SINGLE)
+
+        return cls(
+            random_weights(inputs, 4 * hidden),
+            random_weights(hidden + 1, 4 * hidden),
+            random_weights(4 * hidden),
+            jnp.zeros((hidden, increments), SINGLE),
+            jnp.zeros(increments, SINGLE),
+        )
+
+    def simulate(
+        self, inputs: Float32[Array, "k b i"], start: Float32[Array, " b"], scale: Float32[Array, ""]
+    ) -> Float32[Array, "k b m"]:
+        """Return positions after each increment.
+
+        Args:
+            inputs: of K blocks of B tests, shape [K, B, I].
+            start: position before the first block, shape [B].
+            scale: factor on the increments, shape [].
+        """
+        head, head_bias = scale * self.head, scale * self.head_bias
+        input_terms = inputs @ self.weight_ih + self.bias
+
+        def advance(state: tuple[Array, Array, Array], terms: Array) -> tuple[tuple, Array]:
+            h, c, position = state
+            # σ(x) = ½ + ½ tanh(x/2): one function for all gates; the factor ½ is left to the weights.
+            gates = jnp.tanh(terms + jnp.concatenate([h, position[:, None]], axis=1) @ self.weight_hh)
+            i, f, g, o = jnp.split(gates, 4, axis=1)
+            c = 0.5 * ((1 + f) * c + (1 + i) * g)
+            h = 0.5 * (1 + o) * jnp.tanh(c)
+            positions = position[:, None] + jnp.cumsum(h @ head + head_bias, axis=1)
+            return (h, c, positions[:, -1]), positions
+
+        zeros = jnp.zeros((inputs.shape[1], self.head.shape[0]), SINGLE)
+        return jax.lax.scan(advance, (zeros, zeros, start), input_terms)[1]
+
+
+# Training of an ensemble on free runs: full batch, all members in one compiled program.
+
+# Gradient steps between two looks at the validation tests, before the training may stop, and without a
+# better validation error after which it stops; chosen.
+STEPS_PER_LOOK, FEWEST_STEPS, PATIENCE_STEPS = 50, 1500, 500
+LEARNING_RATE = 1e-2  # of Adam at the start; chosen
+CHOOSING_MEMBERS = 2  # members that choose the number of steps for all; chosen, it bounds the time
+# Blocks over which errors of increments count beside the error of the position. Errors of a free run add up:
+# they grow as those of a random walk, and increments show where they come from.
+INCREMENT_BLOCKS = (2, 8)
+
+
+class Sections(NamedTuple):
+    """Free runs of B tests in K blocks of M steps, scaled.
+
+    Attributes:
+        inputs: of the network, shape [K, B, I].
+        start: position before motion, shape [B].
+        position: measured position at the end of each step, shape [K, B, M].
+        increment_scale: factor on the network's increments, shape [].
+    """
+
+    inputs: Float32[Array, "k b i"]
+    start: Float32[Array, " b"]
+    position: Float32[Array, "k b m"]
+    increment_scale: Float32[Array, ""]
+
+
+def train_ensemble(
+    untrained: IntegratingLstm,
+    sections: Sections,
+    training: Float32[Array, "k b m"],
+    validation: Float32[Array, "k b m"],
+    everything: Float32[Array, "k b m"],
+    steps: int,
+    progress: EpochCallback | None = None,
+) -> tuple[IntegratingLstm, int]:
+    """Choose the number of gradient steps on validation tests, then train on all tests for as many.
+
+    Args:
+        untrained: the members, a leading axis over them in each array.
+        sections: free runs of all tests.
+        training, validation, everything: weights of the errors for the choice and for the final training.
+        steps: largest number of gradient steps.
+        progress: called at each look with the steps done, training and validation error.
+
+    Returns:
+        The ensemble, and the number of steps it was trained for: 0 where no training improved it.
+    """
+    networks = jax.tree.map(lambda array: array[:CHOOSING_MEMBERS], untrained)
+    best_step, best_error = 0, float(_mean_error(networks, sections, validation))
+    state = _initial_state(networks, steps)
+    for step in range(STEPS_PER_LOOK, steps + 1, STEPS_PER_LOOK):
+        networks, state = _advance(networks, state, sections, training, steps)
+        error = float(_mean_error(networks, sections, validation))
+        if progress is not None:
+            progress(step, float(_mean_error(networks, sections, training)), error)
+        if error < best_error:
+            best_step, best_error = step, error
+        elif step >= FEWEST_STEPS and step - best_step >= PATIENCE_STEPS:
+            break
+    networks, state = untrained, _initial_state(untrained, steps)
+    for _ in range(0, best_step, STEPS_PER_LOOK):
+        networks, state = _advance(networks, state, sections, everything, steps)
+    return networks, best_step
+
+
+@eqx.filter_jit
+def _mean_error(networks: IntegratingLstm, sections: Sections, weight: Array) -> Array:
+    """Return the root mean square error of the members' mean."""
+    members = eqx.filter_vmap(IntegratingLstm.simulate, in_axes=(eqx.if_array(0), None, None, None))
+    positions = members(networks, sections.inputs, sections.start, sections.increment_scale).mean(axis=0)
+    return jnp.sqrt(_mean_square(positions - sections.position, weight))
+
+
+@partial(jax.jit, static_argnums=1)
+def _initial_state(networks: PyTree, steps: int) -> PyTree:
+    return jax.vmap(optimiser(LEARNING_RATE, steps).init)(networks)
+
+
+@partial(jax.jit, static_argnums=4)
+def _advance(
+    networks: PyTree, state: PyTree, sections: Sections, weight: Array, steps: int
+) -> tuple[PyTree, PyTree]:
+    """Return networks and optimiser states after the gradient steps up to the next look."""
+    adam = optimiser(LEARNING_RATE, steps)
+    travel = sections.position - sections.start[:, None]
+    scale = jnp.maximum(_mean_square(travel, weight), jnp.finfo(travel.dtype).tiny)
+
+    def loss(network: IntegratingLstm) -> Array:
+        positions = network.simulate(sections.inputs, sections.start, sections.increment_scale)
+        return _loss(positions - sections.position, weight) / scale
+
+    def step(carry: tuple[PyTree, PyTree], _: None) -> tuple[tuple[PyTree, PyTree], None]:
+        network, state = carry
+        change, state = adam.update(jax.grad(loss)(network), state, network)
+        return (optax.apply_updates(network, change), state), None
+
+    def advance(network: PyTree, state: PyTree) -> tuple[PyTree, PyTree]:
+        return jax.lax.scan(step, (network, state), None, length=STEPS_PER_LOOK)[0]
+
+    return jax.vmap(advance)(networks, state)
+
+
+def _loss(errors: Array, weight: Array) -> Array:
+    """Return the mean square of the errors of position and, as of a random walk, of increments."""
+    blocks = errors.shape[0]
+    total = _mean_square(errors, weight)
+    for lag in INCREMENT_BLOCKS:
+        if 2 * lag < blocks:
+            both = weight[lag:] * weight[:-lag]
+            total += blocks / (2 * lag) * _mean_square(errors[lag:] - errors[:-lag], both)
+    return total
+
+
+def _mean_square(errors: Array, weight: Array) -> Array:
+    return jnp.sum(weight * errors**2) / jnp.maximum(jnp.sum(weight), 1.0)
+
+
+# Signals of tests in blocks of several steps, the clock of the black box.
+
+MAX_BLOCKS, STEPS = 64, 8  # blocks of the longest test, steps in a block; chosen: they bound the time
+
+
+class BlockSignals(NamedTuple):
+    """Signals of T tests in K blocks of M steps.
+
+    Attributes:
+        commands: mean of the command as logged and of the effective command, shape [K, T, M, 2].
+        travel: travel at the end of each step, shape [K, T, M].
+        mask: which of those errors are taken over, shape [K, T, M].
+    """
+
+    commands: np.ndarray
+    travel: np.ndarray
+    mask: np.ndarray
+
+
+def step_samples(batch: Batch) -> int:
+    """Return the samples of one step, so that the longest test has at most 64 blocks of eight steps."""
+    longest = int(np.asarray(batch.valid).sum(axis=1).max())
+    return -(-longest // (MAX_BLOCKS * STEPS))
+
+
+def block_signals(batch: Batch, samples: int, mask: np.ndarray) -> BlockSignals:
+    """Return the signals of tests in blocks of eight steps of so many samples each.
+
+    Args:
+        batch: tests.
+        samples: samples in a step.
+        mask: samples that errors are taken over, shape [T, N].
+    """
+    blocks = -(-int(np.asarray(batch.valid).sum(axis=1).max()) // (samples * STEPS))
+    width = blocks * STEPS * samples
+
+    def in_blocks(rows: np.ndarray) -> np.ndarray:
+        return rows.reshape(rows.shape[0], blocks, STEPS, *rows.shape[2:]).swapaxes(0, 1)
+
+    def fitted_to_width(rows: np.ndarray) -> np.ndarray:
+        return np.pad(rows, ((0, 0), (0, max(0, width + 1 - rows.shape[1]))))[:, : width + 1]
+
+    def means(rows: np.ndarray) -> np.ndarray:
+        return fitted_to_width(rows)[:, :width].reshape(len(rows), -1, samples).mean(axis=2)
+
+    commands = (np.asarray(batch.raw_command), np.asarray(batch.command))
+    ends = slice(samples, None, samples)
+    return BlockSignals(
+        in_blocks(np.stack([means(command) for command in commands], axis=-1)),
+        in_blocks(fitted_to_width(np.asarray(batch.travel))[:, ends]),
+        in_blocks(fitted_to_width(np.asarray(mask))[:, ends]),
+    )
+
+
+def travel_at_samples(travel: np.ndarray, samples: int, count: int) -> np.ndarray:
+    """Return travel at every sample, linear between the ends of steps, shape [T, N].
+
+    Args:
+        travel: at the end of each step, shape [K, T, M]; zero before the first.
+        samples: samples in a step.
+        count: N, samples of the result; it stays at the last value beyond the steps.
+    """
+    rows = np.moveaxis(travel, 1, 0).reshape(travel.shape[1], -1)
+    ends = samples * np.arange(rows.shape[1] + 1)
+    return np.stack([np.interp(np.arange(count), ends, [0.0, *row]) for row in rows])
+
 
 HIDDEN, MEMBERS = 16, 5  # cells of an LSTM, LSTMs of an ensemble; chosen
 SCALINGS = (

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from hitchid._support.compilation import prepare_jax
-from hitchid.cli.options import Force
+from hitchid._support.jax_setup import prepare_jax
+from hitchid.cli.program import Force
 
 
 class Protocol(Enum):
@@ -73,15 +73,14 @@ def bench(
     With operating conditions all tests are run in every combination of them, and the logs have cylinder
     pressure, oil temperature and consumer flow, too.
     """
-    from hitchid._support.storage import check_folder, check_inputs
+    from hitchid._support.files import check_folder, check_inputs
     from hitchid.cli import terminal as display
 
     check_folder(out, result_kind="campaign.toml", force=force)
     check_inputs(out, [Path(rig)] if rig.endswith(".toml") else [])
     prepare_jax()
-    from hitchid.data.record import DIRECTIONS
-    from hitchid.experiments.conditions import Conditions
-    from hitchid.experiments.virtual_campaign import REPEATS, TESTS, write_campaign
+    from hitchid.bench.virtual_campaign import REPEATS, TESTS, Conditions, write_campaign
+    from hitchid.logs.record import DIRECTIONS
 
     conditions = None
     if implements_kg or oil_c or consumer_l_min:

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from hitchid._support.compilation import prepare_jax
-from hitchid.cli.options import (
+from hitchid._support.jax_setup import prepare_jax
+from hitchid.cli.program import (
     AsJson,
     AsPdf,
     AsXlsx,
@@ -16,9 +16,9 @@ from hitchid.cli.options import (
     Quiet,
     Signals,
     Strict,
+    command_line,
     report_formats,
 )
-from hitchid.cli.program import command_line
 from hitchid.errors import InputError
 
 
@@ -42,15 +42,15 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Compare models with each other on tests that none of them has used."""
-    from hitchid._support.storage import check_folder, check_inputs
+    from hitchid._support.files import check_folder, check_inputs
     from hitchid.cli import terminal as display
 
     check_folder(out, result_kind="comparison.json", force=force)
     check_inputs(out, [*paths, signals])
     prepare_jax()
     from hitchid._support.progress import ProgressUpdate
+    from hitchid.logs import read
     from hitchid.model import load
-    from hitchid.readers import read
     from hitchid.report import write_report
     from hitchid.validation import compare as run
 

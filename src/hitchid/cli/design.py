@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from hitchid._support.compilation import prepare_jax
-from hitchid.cli.options import AsJson, Force
+from hitchid._support.jax_setup import prepare_jax
+from hitchid.cli.program import AsJson, Force
 
 
 class OneDirection(Enum):
@@ -68,7 +68,7 @@ def design(
 
     For a controller, it is that of the parameter on which its stability margins depend most.
     """
-    from hitchid._support.storage import check_file, check_inputs
+    from hitchid._support.files import check_file, check_inputs
     from hitchid.cli import terminal as display
 
     if out is not None:
@@ -76,8 +76,8 @@ def design(
         check_inputs(out, [model])
     prepare_jax()
     from hitchid.control import limitation
-    from hitchid.design.next_test import ExcitationLimits, write_command
-    from hitchid.design.next_test import design as run
+    from hitchid.control.next_test import ExcitationLimits, write_command
+    from hitchid.control.next_test import design as run
     from hitchid.errors import SettingsError
     from hitchid.model import load
 

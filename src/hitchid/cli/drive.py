@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hitchid._support.compilation import prepare_jax
-from hitchid.cli.options import AsJson, Force, Loads, Quiet, loads_of
-from hitchid.cli.program import command_line
+from hitchid._support.jax_setup import prepare_jax
+from hitchid.cli.program import AsJson, Force, Loads, Quiet, command_line, loads_of
 from hitchid.errors import InputError
 
 if TYPE_CHECKING:
@@ -58,19 +57,20 @@ def drive(
     as_json: AsJson = False,
 ) -> None:
     """Drive a controller through steps, ramps, ploughing, changes of load and oil on the virtual bench."""
-    from hitchid._support.storage import canonical_json, check_folder, check_inputs
+    from hitchid._support.files import canonical_json, check_folder, check_inputs
     from hitchid.cli import terminal as display
 
     check_folder(out, result_kind="metrics.json", force=force)
     check_inputs(out, [controller, accept, *([Path(rig)] if rig.endswith(".toml") else [])])
     prepare_jax()
     from hitchid._support.progress import ProgressUpdate
+    from hitchid.bench import load_rig
     from hitchid.control import ModelPlant, load_controller
-    from hitchid.control import drive as run
+    from hitchid.control.drive import drive as run
+    from hitchid.control.drive_report import drive_report
     from hitchid.control.limits import check_drive, read_drive_limits
-    from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT
-    from hitchid.report import drive_report, write_report
-    from hitchid.rig import load_rig
+    from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT
+    from hitchid.report import write_report
 
     limits = None if accept is None else read_drive_limits(accept)
     content = load_controller(controller)

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from hitchid._support.compilation import prepare_jax
-from hitchid.cli.options import AsJson, Force, Quiet
+from hitchid._support.jax_setup import prepare_jax
+from hitchid.cli.program import AsJson, Force, Quiet
 from hitchid.errors import InputError
 
 
@@ -65,7 +65,7 @@ def export(
     as_json: AsJson = False,
 ) -> None:
     """Export a model to code that runs without Python, and prove that it computes what the model does."""
-    from hitchid._support.storage import check_inputs
+    from hitchid._support.files import check_inputs
     from hitchid.cli import terminal as display
 
     check_inputs(out, [model, controller])

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from hitchid.cli.options import Quiet
+from hitchid.cli.program import Quiet
 from hitchid.errors import InputError
 
 
@@ -50,7 +50,7 @@ def hmi(
         from hitchid.hmi.server import Server
     except ModuleNotFoundError as error:
         raise InputError(f"the page needs {error.name}; install hitchid[hmi]") from error
-    from hitchid.hmi.limits import read_limits
+    from hitchid.hmi.plans import read_limits
 
     if limits is not None:
         read_limits(limits)

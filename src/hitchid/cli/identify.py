@@ -8,10 +8,9 @@ from typing import Annotated
 
 import typer
 
-from hitchid._support.compilation import prepare_jax
+from hitchid._support.jax_setup import prepare_jax
 from hitchid._support.progress import ProgressUpdate, subtask_progress
-from hitchid.cli.cache import with_search_cache
-from hitchid.cli.options import AsJson, Force, Logs, Quiet, Signals, Strict
+from hitchid.cli.program import AsJson, Force, Logs, Quiet, Signals, Strict, with_search_cache
 from hitchid.errors import InputError, OutputError
 
 
@@ -42,7 +41,7 @@ def identify(
 
     The physics model is saved as soon as it is found; Ctrl-C keeps it, and --resume goes on.
     """
-    from hitchid._support.storage import check_folder, check_inputs
+    from hitchid._support.files import check_folder, check_inputs
     from hitchid.cli import terminal as display
 
     unfinished = out.absolute().with_name(f"{out.absolute().name}.unfinished")
@@ -57,11 +56,11 @@ def identify(
     if unfinished.exists() and not resume:
         _make_way(unfinished)
     prepare_jax()
-    from hitchid.audit import audit
     from hitchid.identification import Identification, RivalsConfig, Settings, read_settings, train_rivals
-    from hitchid.identification import identify as run
-    from hitchid.identification.pipeline import RIVALS_SHARE
-    from hitchid.readers import read
+    from hitchid.identification.identify import RIVALS_SHARE
+    from hitchid.identification.identify import identify as run
+    from hitchid.logs import read
+    from hitchid.logs.audit.audit import audit
 
     settings: Settings = {} if config is None else read_settings(config)
     if seed is not None:

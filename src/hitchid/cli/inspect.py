@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hitchid.cli.options import AsJson, Force, Logs, Signals, Strict
+from hitchid.cli.program import AsJson, Force, Logs, Signals, Strict
 from hitchid.errors import InputError
 
 if TYPE_CHECKING:
-    from hitchid.inspection import Inspection
+    from hitchid.logs import Inspection
 
 MAX_DRAWN = 12  # records in one picture (chosen)
 PICTURES = (".png", ".svg", ".pdf")
@@ -38,9 +38,9 @@ def inspect(
     as_json: AsJson = False,
 ) -> None:
     """Show the content of logs and audit them: problems, where they are, and what to measure again."""
-    from hitchid.audit import Severity
     from hitchid.cli import terminal as display
-    from hitchid.inspection.inspect_logs import inspect as look
+    from hitchid.logs.audit import Severity
+    from hitchid.logs.inspect import inspect as look
 
     if out is not None and not propose:
         raise InputError("--out needs --propose")
@@ -68,8 +68,8 @@ def inspect(
 
 
 def _propose(logs: list[Path], out: Path | None, *, force: bool) -> None:
-    from hitchid._support.storage import check_file, check_inputs, write_bytes
-    from hitchid.inspection import propose
+    from hitchid._support.files import check_file, check_inputs, write_bytes
+    from hitchid.logs.propose import propose
 
     if out is not None:
         check_file(out, force=force)
@@ -82,7 +82,7 @@ def _propose(logs: list[Path], out: Path | None, *, force: bool) -> None:
 
 
 def _check_picture(path: Path, *, force: bool, inputs: list[Path | None]) -> None:
-    from hitchid._support.storage import check_file, check_inputs
+    from hitchid._support.files import check_file, check_inputs
 
     if path.suffix not in PICTURES:
         raise InputError(f"--draw: expected a name ending in {', '.join(PICTURES)}, got '{path.name}'")

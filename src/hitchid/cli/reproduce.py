@@ -6,9 +6,8 @@ from typing import Annotated
 
 import typer
 
-from hitchid._support.compilation import prepare_jax
-from hitchid.cli.options import AsJson, Force, Quiet
-from hitchid.cli.program import command_line
+from hitchid._support.jax_setup import prepare_jax
+from hitchid.cli.program import AsJson, Force, Quiet, command_line
 
 
 def reproduce(
@@ -21,14 +20,14 @@ def reproduce(
     as_json: AsJson = False,
 ) -> None:
     """Repeat the published study on the virtual bench: every table and figure, next to the paper's values."""
-    from hitchid._support.storage import check_folder, check_inputs
+    from hitchid._support.files import check_folder, check_inputs
     from hitchid.cli import terminal as display
 
     check_folder(out, result_kind="study.md", force=force)
     check_inputs(out, [Path(rig)] if rig.endswith(".toml") else [])
     prepare_jax()
-    from hitchid.studies.sun2025 import Plan, quick_plan
-    from hitchid.studies.sun2025 import reproduce as run
+    from hitchid.bench.sun2025 import Plan, quick_plan
+    from hitchid.bench.sun2025.reproduce import reproduce as run
 
     plan = quick_plan() if quick else Plan()
     with display.progress(quiet=quiet) as report:

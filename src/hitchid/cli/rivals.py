@@ -5,9 +5,8 @@ from typing import Annotated
 
 import typer
 
-from hitchid._support.compilation import prepare_jax
-from hitchid.cli.cache import with_search_cache
-from hitchid.cli.options import Force, Logs, Quiet, Signals, Strict
+from hitchid._support.jax_setup import prepare_jax
+from hitchid.cli.program import Force, Logs, Quiet, Signals, Strict, with_search_cache
 from hitchid.errors import OutputError
 
 
@@ -24,14 +23,14 @@ def rivals(
     OE, NARX, a black-box LSTM, the paper's grey box and the searches of the parameters. The model itself
     stays as it is, bit for bit.
     """
-    from hitchid._support.storage import check_folder
+    from hitchid._support.files import check_folder
     from hitchid.cli import terminal as display
 
     prepare_jax()
     from hitchid.estimation import SearchComparison
     from hitchid.identification import train_rivals
+    from hitchid.logs import read
     from hitchid.model import load, load_trace, save
-    from hitchid.readers import read
 
     hitch, trace = load(model), load_trace(model)
     if hitch.has_trained_rivals and not force:

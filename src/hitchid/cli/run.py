@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hitchid._support.compilation import prepare_jax
-from hitchid._support.lines import lines
-from hitchid._support.storage import check_folder
-from hitchid.cli.options import Force, Loads, loads_of
+from hitchid._support.files import check_folder, lines
+from hitchid._support.jax_setup import prepare_jax
+from hitchid.cli.program import Force, Loads, loads_of
 from hitchid.errors import InputError
 
 if TYPE_CHECKING:
-    from hitchid.adaptation import Event
-    from hitchid.online import Live
+    from hitchid.live import Event, Live
 
 REHEARSAL_S = 2e-3  # s before a sample is due; a rehearsal takes about half of it (measured)
 
@@ -48,10 +46,10 @@ def run(
         raise InputError("--changes and --save are for adaptation; give --adapt, too")
     prepare_jax()
     from hitchid.cli.terminal import show_adaptation
+    from hitchid.live import ChangeLog, Live, OnlineAdaptation
     from hitchid.model import load as load_model
     from hitchid.model import save as save_model
-    from hitchid.model.artifact import MODEL_FILE
-    from hitchid.online import ChangeLog, Live, OnlineAdaptation
+    from hitchid.model.folder import MODEL_FILE
 
     if save is not None:
         check_folder(save, result_kind=MODEL_FILE, force=force)

@@ -14,22 +14,22 @@ from rich.text import Text
 
 from hitchid._support.console import PlainConsole, line
 from hitchid._support.progress_display import progress as progress
-from hitchid.data.record import COMMAND, DISPLACEMENT
-from hitchid.data.segmentation import LABELS
+from hitchid.logs.kinds import LABELS
+from hitchid.logs.record import COMMAND, DISPLACEMENT
 
 if TYPE_CHECKING:
-    from hitchid.adaptation import Changes
-    from hitchid.audit import AuditFinding
+    from hitchid.bench.sun2025 import Study
     from hitchid.control import Limitation, Tuning
-    from hitchid.data.campaign import Campaign
-    from hitchid.design.next_test import Advice
+    from hitchid.control.next_test import Advice
     from hitchid.export import Export
     from hitchid.fleet import ValidationRow
     from hitchid.identification import ChannelTrace, Identification
-    from hitchid.inspection import Inspection
+    from hitchid.live import Changes
+    from hitchid.logs import Inspection
+    from hitchid.logs.audit import AuditFinding
+    from hitchid.logs.campaign import Campaign
     from hitchid.model import Hitch
     from hitchid.report import Document
-    from hitchid.studies.sun2025 import Study
     from hitchid.validation import Acceptance
 
 COLUMNS = 80  # characters, width of narrow output (chosen)
@@ -175,7 +175,7 @@ def _time_spans(finding: "AuditFinding") -> list[str]:
 
 def show_identification(identification: "Identification", out: Path) -> None:
     """Print the identified parameters of each direction, in 80 columns, and the path of the model."""
-    from hitchid.report.characteristics import characteristic_sentences
+    from hitchid.report.parameters_section import characteristic_sentences
 
     for direction, trace in identification.channels.items():
         _narrow_console().print(
@@ -241,8 +241,8 @@ def show_adaptation(
         changes: direction to the changes in use.
         counts: direction and kind of event to the number of events.
     """
-    from hitchid.adaptation import REPORTED, Changes
-    from hitchid.adaptation.events import LEARNED, REFUSED
+    from hitchid.live import REPORTED, Changes
+    from hitchid.live.events import LEARNED, REFUSED
 
     strokes = [sum(n for (_, kind), n in counts.items() if kind == kept) for kept in (LEARNED, REFUSED)]
     sys.stderr.write(f"adaptation: {strokes[0]} strokes learned from, {strokes[1]} refused\n")
@@ -340,7 +340,7 @@ def show_export(done: "Export") -> None:
 
 def show_study(study: "Study", out: Path) -> None:
     """Print the tables of the study, notices, and the path of the report."""
-    from hitchid.report.renderers.terminal import rich_table
+    from hitchid.report.text import rich_table
 
     for table in study.tables:
         _console().print(rich_table(table))
@@ -359,7 +359,7 @@ def show_report(document: "Document", notices: Iterable[str], out: Path) -> None
 
 def show_acceptance(acceptance: "Acceptance", *, quiet: bool = False) -> None:
     """Print a line with the verdict of each limit; only failed limits if `quiet`."""
-    from hitchid.report.sections import check_line
+    from hitchid.report.verdict import check_line
 
     for check in acceptance.checks:
         if not (quiet and check.passed):

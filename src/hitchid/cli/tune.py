@@ -7,9 +7,8 @@ from typing import Annotated
 
 import typer
 
-from hitchid._support.compilation import prepare_jax
-from hitchid.cli.options import AsJson, Force, Loads, Quiet, loads_of
-from hitchid.cli.program import command_line
+from hitchid._support.jax_setup import prepare_jax
+from hitchid.cli.program import AsJson, Force, Loads, Quiet, command_line, loads_of
 
 
 def tune(
@@ -29,7 +28,7 @@ def tune(
     as_json: AsJson = False,
 ) -> None:
     """Tune a position controller: the fastest that keeps its margins over draws of the parameters."""
-    from hitchid._support.storage import check_file, check_folder, check_inputs
+    from hitchid._support.files import check_file, check_folder, check_inputs
     from hitchid.cli import terminal as display
 
     check_file(out, force=force)
@@ -40,8 +39,9 @@ def tune(
     prepare_jax()
     from hitchid.control import load_controller, save_controller
     from hitchid.control import tune as run
+    from hitchid.control.tune_report import tune_report
     from hitchid.model import load as load_model
-    from hitchid.report import tune_report, write_report
+    from hitchid.report import write_report
 
     hitch = load_model(model)
     with display.progress(quiet=quiet) as report:

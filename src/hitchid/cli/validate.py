@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from hitchid._support.compilation import prepare_jax
-from hitchid.cli.options import (
+from hitchid._support.jax_setup import prepare_jax
+from hitchid.cli.program import (
     AsJson,
     AsPdf,
     AsXlsx,
@@ -17,9 +17,9 @@ from hitchid.cli.options import (
     Quiet,
     Signals,
     Strict,
+    command_line,
     report_formats,
 )
-from hitchid.cli.program import command_line
 from hitchid.errors import InputError
 
 
@@ -44,7 +44,7 @@ def validate(
     as_json: AsJson = False,
 ) -> None:
     """Validate a model on tests that were not used for identification."""
-    from hitchid._support.storage import check_file, check_folder, check_inputs, write_bytes
+    from hitchid._support.files import check_file, check_folder, check_inputs, write_bytes
     from hitchid.cli import terminal as display
 
     inputs = [model, *logs, accept, signals]
@@ -57,11 +57,11 @@ def validate(
         check_inputs(junit, inputs)
     prepare_jax()
     from hitchid._support.progress import ProgressUpdate
+    from hitchid.logs import read
     from hitchid.model import load, load_trace
-    from hitchid.readers import read
     from hitchid.report import read_trace, render, write_report
     from hitchid.validation import read_limits
-    from hitchid.validation import validate as run
+    from hitchid.validation.validate import validate as run
 
     formats = report_formats(as_pdf=as_pdf, as_xlsx=as_xlsx, interactive=interactive)
     limits = None if accept is None else read_limits(accept)

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from hitchid import rig as bench
-from hitchid._support.precision import double_precision
-from hitchid._support.short_repr import short_repr
+from hitchid import bench as bench
+from hitchid._support.jax_setup import double_precision
+from hitchid._support.records import short_repr
+from hitchid.bench import Disturbance, Rig
+from hitchid.bench.simulation import SAMPLE_S
 from hitchid.errors import InputError
-from hitchid.rig import Disturbance, Rig
-from hitchid.rig.simulation import SAMPLE_S
 
 CHUNK = 500  # samples of a compiled run: scenarios of any length share one program; chosen
 

@@ -12,16 +12,16 @@ import numpy as np
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from hitchid._support import checks
-from hitchid._support.precision import double_precision
-from hitchid._support.short_repr import short_repr
-from hitchid._support.storage import write_bytes
+from hitchid._support.files import write_bytes
+from hitchid._support.jax_setup import double_precision
+from hitchid._support.records import short_repr
 from hitchid.control.axis import Axis
 from hitchid.control.controller import Gains, HitchController, HoldWindow
 from hitchid.control.tuning import Tuning
-from hitchid.data.record import DIRECTIONS
-from hitchid.data.signal_map import parse_settings
+from hitchid.logs.record import DIRECTIONS
+from hitchid.logs.signal_map import parse_settings
 from hitchid.model import Hitch
-from hitchid.model.channel_description import describe_channel, read_physical_model
+from hitchid.model.description import describe_channel, read_physical_model
 from hitchid.model.schema import Described, Number, PhysicalDescription, Positive, Row, Size, StepTime
 from hitchid.structures import structure_named
 

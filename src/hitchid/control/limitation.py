@@ -8,17 +8,16 @@ import numpy as np
 from jaxtyping import Float
 
 from hitchid._support import checks
-from hitchid._support.precision import double_precision
-from hitchid._support.short_repr import short_repr
+from hitchid._support.jax_setup import double_precision
+from hitchid._support.records import short_repr
 from hitchid.control.controller import Gains
-from hitchid.control.direction_loops import SHARE, DirectionLoops
-from hitchid.control.gain_design import pi_gains
+from hitchid.control.loops import SHARE, DirectionLoops, pi_gains
 from hitchid.control.prediction import loads_of_channels
 from hitchid.control.tuning import HIGHEST_RAD_S, LOWEST_RAD_S, check_tunable, fastest_gains, highest_rad_s
-from hitchid.data.record import DIRECTIONS
 from hitchid.errors import InputError
+from hitchid.logs.record import DIRECTIONS
 from hitchid.model import Hitch
-from hitchid.model.loads import Load
+from hitchid.model.inputs import Load
 from hitchid.model.parameter_draws import DRAWS
 
 CAPPED = 0.99  # of the largest bandwidth that is searched; the search ends within a thousandth of it

@@ -10,15 +10,15 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from hitchid._support import checks
-from hitchid._support.precision import double_precision
-from hitchid._support.short_repr import short_repr
+from hitchid._support.jax_setup import double_precision
+from hitchid._support.records import short_repr
 from hitchid.control.axis import Axis, AxisState, buffer_of
 from hitchid.control.closed_loop import CHUNK
 from hitchid.control.controller import ControllerState, HitchController
 from hitchid.errors import InputError
 from hitchid.model import Channel, Hitch
+from hitchid.model.inputs import Load, channel_load, load_row
 from hitchid.model.load_filter import LoadFilter
-from hitchid.model.loads import Load, channel_load, load_row
 from hitchid.model.parameter_draws import draws_of
 
 MOVING_SHARE = 0.03  # of the largest speed: slowest motion during which transients arise; chosen

@@ -10,29 +10,31 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from hitchid._support import checks
-from hitchid._support.precision import double_precision
+from hitchid._support.jax_setup import double_precision
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent
-from hitchid._support.short_repr import short_repr
+from hitchid._support.records import short_repr
 from hitchid.control.controller import Gains, HitchController, HoldWindow
-from hitchid.control.direction_loops import (
+from hitchid.control.loops import (
     CROSSING_NOISE,
     MAX_SENSITIVITY,
+    METHODS,
     MIDDLE,
     MIN_GAIN_DB,
     MIN_PHASE_DEG,
     STROKE_SHARES,
     DirectionLoops,
     DirectionMargins,
+    GainsOf,
     axis_of,
     operating_points,
+    pi_gains,
     sensor_noise,
 )
-from hitchid.control.gain_design import METHODS, GainsOf, pi_gains
 from hitchid.control.prediction import drawn_hitches, loads_of_channels, run_on_model
-from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT
 from hitchid.errors import InputError
+from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT
 from hitchid.model import Channel, Hitch
-from hitchid.model.loads import Load
+from hitchid.model.inputs import Load
 from hitchid.model.parameter_draws import DRAWS
 
 LOWEST_RAD_S, HIGHEST_RAD_S = 0.05, 30.0  # bandwidths searched; below, a loop takes a minute to settle

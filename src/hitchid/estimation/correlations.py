@@ -8,8 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hitchid.estimation.bounds import Bounds
-from hitchid.estimation.objective import Objective, traced
+from hitchid.estimation.objective import Bounds, Objective, traced
 from hitchid.estimation.search_problem import SearchProblem
 from hitchid.structures import Batch, ModelSpec, Scales, pulse_response
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from hitchid._support.short_repr import short_repr
+from hitchid._support.records import short_repr
 from hitchid.errors import FitError
 from hitchid.estimation.search_problem import NormalEquations, SearchProblem
 

@@ -7,14 +7,15 @@ import jax
 import numpy as np
 
 from hitchid._support.checkpoints import DISABLED, Checkpoints
-from hitchid._support.short_repr import short_repr
-from hitchid._support.storage import digest
-from hitchid._support.versions import installed_versions
+from hitchid._support.files import digest
+from hitchid._support.jax_setup import installed_versions
+from hitchid._support.records import short_repr
 from hitchid.errors import FitError
 from hitchid.estimation.correlations import search_problem
-from hitchid.estimation.global_search import DifferentialEvolution, MultiStart, Search, Whale, WhaleConfig
 from hitchid.estimation.objective import Objective
 from hitchid.estimation.search_problem import SearchProblem
+from hitchid.estimation.searches import DifferentialEvolution, MultiStart, Search
+from hitchid.estimation.whale import Whale, WhaleConfig
 
 BUDGET = 600  # simulations of all tests for each run; chosen
 SEEDS = 8  # runs of each search; chosen

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float
 
-from hitchid._support.short_repr import short_repr
+from hitchid._support.records import short_repr
 
 FitnessFunction = Callable[[Float[Array, "p d"]], Float[Array, " p"]]
 

@@ -13,7 +13,7 @@ import optax
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from hitchid._support.checkpoints import DISABLED, Arrays, Checkpoints, Shapes
-from hitchid._support.short_repr import short_repr
+from hitchid._support.records import short_repr
 
 Network = TypeVar("Network")
 # Share of the learning rate at the end of the cosine, and largest norm of a gradient: common for an LSTM.

@@ -8,17 +8,24 @@ from pathlib import Path
 import numpy as np
 
 from hitchid._support import checks
-from hitchid._support.precision import double_precision
-from hitchid._support.storage import canonical_json, check_folder, write_files, write_folder
-from hitchid._support.versions import installed_versions
+from hitchid._support.files import canonical_json, check_folder, write_files, write_folder
+from hitchid._support.jax_setup import double_precision, installed_versions
 from hitchid.control import ControllerFile
 from hitchid.errors import InputError
 from hitchid.export.c_templates import CTemplates, Precision, c_templates
-from hitchid.export.compiler import Compiler, find_compiler
 from hitchid.export.constants import ModelConstants, constants_of
 from hitchid.export.controller_code import controller_files
-from hitchid.export.reference import ReferenceRun, displacement_range, reference_runs
-from hitchid.export.verification import Parity, Tolerance, tolerance_of, verify
+from hitchid.export.verification import (
+    Compiler,
+    Parity,
+    ReferenceRun,
+    Tolerance,
+    displacement_range,
+    find_compiler,
+    reference_runs,
+    tolerance_of,
+    verify,
+)
 from hitchid.model import Hitch
 
 MANIFEST = "manifest.json"

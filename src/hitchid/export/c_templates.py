@@ -10,10 +10,10 @@ from typing import Any, Literal
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from hitchid._support.inert import comment, html_text
-from hitchid._support.versions import installed_versions
-from hitchid.data.record import COMMAND
+from hitchid._support.jax_setup import installed_versions
 from hitchid.export.constants import ChannelConstants, ModelConstants
 from hitchid.export.error_constants import COVERAGE, Range
+from hitchid.logs.record import COMMAND
 
 Precision = Literal["mixed", "double", "single"]
 LAYOUT = 1  # version of the saved state

@@ -8,16 +8,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from hitchid._support.storage import write_files
+from hitchid._support.files import write_files
 from hitchid.control import ControllerFile, HitchController
 from hitchid.control.axis import REACHABLE, Axis
 from hitchid.control.controller import REST_S, SMOOTHING_S, STILL_SHARE, TARGET_SPEED_S, WIDEST
-from hitchid.data.record import DIRECTIONS
 from hitchid.errors import InputError
 from hitchid.export.c_templates import CTemplates, Field, Precision, Typed, c_templates, valve_fields
-from hitchid.export.compiler import Compiler
 from hitchid.export.constants import ModelConstants, channel_constants
-from hitchid.export.verification import ParityError, run_replay
+from hitchid.export.verification import Compiler, ParityError, run_replay
+from hitchid.logs.record import DIRECTIONS
 from hitchid.model import Channel, Hitch
 from hitchid.networks.operating_range import OperatingRange
 from hitchid.structures import opening_command

@@ -6,12 +6,27 @@ from typing import Any
 
 import numpy as np
 
-from hitchid.export.rows import rows
 from hitchid.model import Bands
 from hitchid.model.load_filter import LoadFilter
 from hitchid.networks.error_compensator import Compensator
 from hitchid.networks.operating_range import MARGIN, SignalRange
 from hitchid.networks.speed_compensator import SpeedCompensator
+
+# Arrays as nested tuples, which templates write as arrays of C.
+
+Rows = tuple[Any, ...]  # nested tuples of numbers
+
+
+def rows(array: object) -> Rows:
+    """Return an array as nested tuples."""
+    nested = np.asarray(array).tolist()
+
+    def frozen(part: object) -> object:
+        return tuple(frozen(each) for each in part) if isinstance(part, list) else part
+
+    result = frozen(nested)
+    return result if isinstance(result, tuple) else (result,)
+
 
 LONGEST = 1e300  # stands for an infinite length, which C cannot write as a number
 COVERAGE = 0.9  # of the exported band: the one that reports state

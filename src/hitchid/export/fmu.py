@@ -10,14 +10,19 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hitchid._support import checks
-from hitchid._support.precision import double_precision
-from hitchid._support.storage import canonical_json, check_file, digest, write_bytes, write_files
+from hitchid._support.files import canonical_json, check_file, digest, write_bytes, write_files
+from hitchid._support.jax_setup import double_precision
 from hitchid.errors import InputError
 from hitchid.export.c99 import Export, VerifiedSource, manifest, verified_source
 from hitchid.export.c_templates import Precision
-from hitchid.export.compiler import zig_compiler
-from hitchid.export.fmu_variables import Variable, fmu_variables
-from hitchid.export.model_description import Version, build_description, model_description
+from hitchid.export.model_description import (
+    Variable,
+    Version,
+    build_description,
+    fmu_variables,
+    model_description,
+)
+from hitchid.export.verification import zig_compiler
 from hitchid.model import Hitch
 
 EPOCH = (1980, 1, 1, 0, 0, 0)  # date of all files in the archive: equal content gives equal bytes

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hitchid.fleet.comparison import FleetComparison as FleetComparison
     from hitchid.fleet.comparison import compare_fleet as compare_fleet
-    from hitchid.fleet.identify import identify_fleet as identify_fleet
+    from hitchid.fleet.jobs import identify_fleet as identify_fleet
+    from hitchid.fleet.jobs import ranked as ranked
+    from hitchid.fleet.jobs import validate_fleet as validate_fleet
     from hitchid.fleet.ledger import load_model as load_model
     from hitchid.fleet.ledger import newest as newest
     from hitchid.fleet.ledger import read_rows as read_rows
-    from hitchid.fleet.metadata import Metadata as Metadata
-    from hitchid.fleet.metadata import read_metadata as read_metadata
+    from hitchid.fleet.parameters import Metadata as Metadata
+    from hitchid.fleet.parameters import read_metadata as read_metadata
     from hitchid.fleet.row import Cost as Cost
     from hitchid.fleet.row import DirectionRow as DirectionRow
     from hitchid.fleet.row import DriftRow as DriftRow
@@ -25,8 +27,6 @@ if TYPE_CHECKING:
     from hitchid.fleet.run import Runner as Runner
     from hitchid.fleet.store import Store as Store
     from hitchid.fleet.store import StoreError as StoreError
-    from hitchid.fleet.validate import ranked as ranked
-    from hitchid.fleet.validate import validate_fleet as validate_fleet
 
 _HOME = {
     "Cost": "row",
@@ -35,20 +35,20 @@ _HOME = {
     "FleetComparison": "comparison",
     "FleetProgress": "run",
     "FleetResult": "run",
-    "Metadata": "metadata",
+    "Metadata": "parameters",
     "Row": "row",
     "Runner": "run",
     "Store": "store",
     "StoreError": "store",
     "ValidationRow": "row",
     "compare_fleet": "comparison",
-    "identify_fleet": "identify",
+    "identify_fleet": "jobs",
     "load_model": "ledger",
     "newest": "ledger",
-    "ranked": "validate",
-    "read_metadata": "metadata",
+    "ranked": "jobs",
+    "read_metadata": "parameters",
     "read_rows": "ledger",
-    "validate_fleet": "validate",
+    "validate_fleet": "jobs",
 }
 
 

@@ -4,7 +4,7 @@ import tempfile
 
 from distributed import Worker, WorkerPlugin
 
-from hitchid.fleet.worker import prepare_worker
+from hitchid.fleet.task import prepare_worker
 
 
 class OneCore(WorkerPlugin):

@@ -1,15 +1,288 @@
 """Distribution of parameters over the machines of a fleet: mean, spread, and where another machine lies."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtrit
+from jaxtyping import Float
+from scipy.optimize import minimize
+from scipy.special import ndtri, stdtrit
 
-from hitchid.fleet.hierarchical import FEWEST, Hierarchy, fit_hierarchy
+from hitchid._support.records import Value, short_repr
+from hitchid.errors import InputError
 from hitchid.fleet.parameters import FleetParameter
+from hitchid.fleet.random_effects import (
+    checked_estimates,
+    constants_of,
+    fit_random_effects,
+    spread_interval,
+    weights,
+)
+
+# Restricted maximum likelihood of mean and covariance of several parameters over machines.
+
+REWEIGHTINGS, TOLERANCE = 100, 1e-5  # of the machines; largest change of a weight; chosen
+GRADIENT = 1e-7  # of the criterion per machine, at which a search stops; chosen
+NO_SPREAD = 1e-4  # scaled standard deviation between machines that is a zero of the search; chosen
+
+
+class Estimates(NamedTuple):
+    """Estimates of N machines; a missing parameter has the error one and no share in any sum.
+
+    Attributes:
+        values: y, zero where missing, shape [N, P].
+        errors: S, covariance of the errors, shape [N, P, P].
+        pairs: one where both parameters are present, shape [N, P, P].
+        clip: squared distance from which a machine loses weight, shape [N].
+        consistency: κ of each machine, shape [N].
+    """
+
+    values: Float[np.ndarray, "n p"]
+    errors: Float[np.ndarray, "n p p"]
+    pairs: Float[np.ndarray, "n p p"]
+    clip: Float[np.ndarray, " n"]
+    consistency: Float[np.ndarray, " n"]
+
+
+class JointPopulation(NamedTuple):
+    """Mean μ, shape [P], covariance between machines Σ, shape [P, P], weight of each machine, shape [N]."""
+
+    mean: Float[np.ndarray, " p"]
+    between: Float[np.ndarray, "p p"]
+    weights: Float[np.ndarray, " n"]
+
+
+def estimates_of(
+    values: Float[np.ndarray, "n p"], covariances: Float[np.ndarray, "n p p"], *, robust: bool
+) -> Estimates:
+    """Return estimates that are NaN where missing without gaps; not `robust`: every machine counts fully."""
+    present = ~np.isnan(values)
+    pairs = present[:, :, None] & present[:, None, :]
+    constants = [constants_of(int(number), robust=robust) for number in present.sum(axis=1)]
+    return Estimates(
+        np.where(present, values, 0.0),
+        np.where(pairs, covariances, np.eye(values.shape[1])),
+        pairs.astype(float),
+        np.array([each.clip for each in constants]),
+        np.array([each.consistency for each in constants]),
+    )
+
+
+def precisions(estimates: Estimates, between: Float[np.ndarray, "*n p p"]) -> Float[np.ndarray, "n p p"]:
+    """Return (S + Σ)⁻¹ of each machine, zero for missing parameters; Σ of all or of each."""
+    return np.linalg.inv(estimates.errors + estimates.pairs * between) * estimates.pairs
+
+
+def fit_population(estimates: Estimates, deviations: Float[np.ndarray, " p"]) -> JointPopulation:
+    """Return mean and covariance between machines: Σ = L Lᵀ for fixed weights and the weights, in turn.
+
+    Args:
+        estimates: of parameters that are scaled to a variance of about one.
+        deviations: standard deviations between machines at the start, above zero, shape [P].
+    """
+    size = len(deviations)
+    elements = np.diag(deviations)[np.tril_indices(size)]
+    on_diagonal = np.equal(*np.tril_indices(size))
+    weight = _weights(estimates, _lower(elements, size), np.ones(len(estimates.values)))
+    for _ in range(REWEIGHTINGS):
+        # A standard deviation of exactly zero has no gradient: the search could not leave it.
+        elements = np.where(on_diagonal & (np.abs(elements) < NO_SPREAD), NO_SPREAD, elements)
+        elements = minimize(
+            _criterion,
+            elements,
+            args=(estimates, weight),
+            jac=True,
+            method="L-BFGS-B",
+            options={"ftol": 0.0, "gtol": GRADIENT},
+        ).x
+        updated = _weights(estimates, _lower(elements, size), weight)
+        change, weight = np.max(np.abs(updated - weight)), updated
+        if change <= TOLERANCE:
+            break
+    between = _without_zeros(_lower(elements, size))
+    return JointPopulation(_mean(estimates, precisions(estimates, between), weight), between, weight)
+
+
+def _lower(elements: np.ndarray, size: int) -> np.ndarray:
+    """Return the triangular matrix L of its elements."""
+    lower = np.zeros((size, size))
+    lower[np.tril_indices(size)] = elements
+    return lower
+
+
+def _without_zeros(lower: np.ndarray) -> np.ndarray:
+    """Return Σ = L Lᵀ with variances that are zeros of the search set to zero."""
+    between = lower @ lower.T
+    without = np.diagonal(between) <= 4 * NO_SPREAD**2
+    between[without] = 0.0
+    between[:, without] = 0.0
+    return between
+
+
+def _mean(estimates: Estimates, precision: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    weighted = (weight / estimates.consistency)[:, None, None] * precision
+    return np.linalg.solve(weighted.sum(axis=0), np.einsum("npq,nq->p", weighted, estimates.values))
+
+
+def _scores(estimates: Estimates, precision: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return V⁻¹(y − μ), shape [N, P], and d², shape [N]."""
+    residuals = estimates.values - _mean(estimates, precision, weight)
+    scores = np.einsum("npq,nq->np", precision, residuals)
+    return scores, np.sum(residuals * scores, axis=1)
+
+
+def _weights(estimates: Estimates, lower: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    squared = _scores(estimates, precisions(estimates, lower @ lower.T), weight)[1]
+    return weights(squared, estimates.clip)
+
+
+def _criterion(elements: np.ndarray, estimates: Estimates, weight: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return half the restricted deviance per machine for fixed weights, and its gradient by L."""
+    machines, size = estimates.values.shape
+    lower = _lower(elements, size)
+    between = lower @ lower.T
+    precision = precisions(estimates, between)
+    scores, squared = _scores(estimates, precision, weight)
+    information = precision.sum(axis=0)
+    relative = weight / estimates.consistency
+    determinants = np.linalg.slogdet(estimates.errors + estimates.pairs * between)[1]
+    deviance = determinants.sum() + relative @ squared + np.linalg.slogdet(information)[1]
+    by_mean = np.einsum("npq,qr,nrs->ps", precision, np.linalg.inv(information), precision)
+    slope = information - (relative[:, None] * scores).T @ scores - by_mean
+    return float(deviance) / 2 / machines, (slope @ lower)[np.tril_indices(size)] / machines
+
+
+# Hierarchical model of a fleet: mean and spread over machines, and the value of each machine.
 
 LEVEL = 0.95  # of the intervals
+FEWEST = 3  # machines with a parameter; of fewer, mean and spread have no interval
+START = 0.3  # smallest standard deviation between machines at the start, scaled parameter; chosen
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class Hierarchy(Value):
+    """Distribution of P parameters over machines, in the parameters' units.
+
+    Attributes:
+        mean: μ, shape [P].
+        mean_covariance: of μ, shape [P, P].
+        mean_interval: 95 % interval of μ, shape [P, 2].
+        between: Σ, covariance between machines, shape [P, P]; zero on the diagonal where no spread is seen.
+        spread_interval: 95 % interval of the standard deviation between machines, shape [P, 2].
+        values: μ + b of each machine given all estimates, shape [N, P]; μ of a machine without estimates.
+        value_deviations: their standard deviations, shape [N, P].
+        value_intervals: their 95 % intervals, shape [N, P, 2].
+        weights: of each machine, one of a machine like the others, shape [N].
+    """
+
+    mean: Float[np.ndarray, " p"]
+    mean_covariance: Float[np.ndarray, "p p"]
+    mean_interval: Float[np.ndarray, "p 2"]
+    between: Float[np.ndarray, "p p"]
+    spread_interval: Float[np.ndarray, "p 2"]
+    values: Float[np.ndarray, "n p"]
+    value_deviations: Float[np.ndarray, "n p"]
+    value_intervals: Float[np.ndarray, "n p 2"]
+    weights: Float[np.ndarray, " n"]
+
+    @property
+    def spread(self) -> Float[np.ndarray, " p"]:
+        """Standard deviation between machines, in the parameters' units."""
+        return np.sqrt(np.diagonal(self.between))
+
+
+def fit_hierarchy(
+    estimates: Float[np.ndarray, "n p"], covariances: Float[np.ndarray, "n p p"], *, robust: bool = True
+) -> Hierarchy:
+    """Return mean, spread and the values of the machines by restricted maximum likelihood.
+
+    y = μ + b + e with b ~ N(0, Σ), e ~ N(0, S), V = S + Σ: μ and Σ minimise
+    Σᵢ [log|V| + w/κ (y − μ)ᵀV⁻¹(y − μ)] + log|Σᵢ V⁻¹|, with w = min(1, c²/d²), d² = (y − μ)ᵀV⁻¹(y − μ).
+    The value of a machine is μ + (Σ/w) (S + Σ/w)⁻¹ (y − μ): one that stands out is hardly moved.
+
+    Args:
+        estimates: y of each machine, shape [N, P], NaN where missing.
+        covariances: S of the errors, shape [N, P, P].
+        robust: False for plain restricted maximum likelihood, w = κ = 1.
+
+    Raises:
+        InputError: estimates that cannot be used, or a parameter with fewer than three machines.
+
+    Source: DerSimonian & Laird 1986; Jackson, Riley & White 2011, Multivariate meta-analysis; McLachlan &
+        Krishnan 2008 (weights of a scale mixture); Viechtbauer 2007 (interval of the spread).
+    """
+    values, errors = checked_estimates(estimates, covariances)
+    counts = np.sum(~np.isnan(values), axis=0)
+    if np.any(counts < FEWEST):
+        parameter = int(np.argmin(counts))
+        raise InputError(
+            f"estimates: parameter {parameter}: got {counts[parameter]} machines, expected at least {FEWEST}"
+        )
+    marginals = [_marginal(values[:, each], errors[:, each, each], robust) for each in range(len(counts))]
+    centre, scale, deviations, spreads = (np.array(column) for column in zip(*marginals, strict=True))
+    squared_scale = np.outer(scale, scale)
+    scaled = estimates_of((values - centre) / scale, errors / squared_scale, robust=robust)
+    fit = fit_population(scaled, deviations)
+    population = JointPopulation(centre + scale * fit.mean, squared_scale * fit.between, fit.weights)
+    mean_factor = constants_of(len(counts), robust=robust).mean_factor
+    return _hierarchy(estimates_of(values, errors, robust=robust), population, counts, spreads, mean_factor)
+
+
+def _marginal(
+    values: np.ndarray, variances: np.ndarray, robust: bool
+) -> tuple[float, float, float, tuple[float, float]]:
+    """Return mean, scale, scaled deviation between machines and its interval of one parameter on its own."""
+    present = ~np.isnan(values)
+    values, variances = values[present], variances[present]
+    everything = np.ones((1, values.size), bool)
+    fit = fit_random_effects(values, variances, everything.T * 1.0, everything, robust=robust)
+    between = float(fit.between[0])
+    scale = float(np.sqrt(between + np.median(variances)))
+    interval = spread_interval(values, variances, robust=robust)
+    return float(fit.coefficients[0, 0]), scale, max(START, np.sqrt(between) / scale), interval
+
+
+def _hierarchy(
+    estimates: Estimates,
+    population: JointPopulation,
+    counts: np.ndarray,
+    spreads: np.ndarray,
+    mean_factor: float,
+) -> Hierarchy:
+    mean = population.mean
+    mean_covariance = mean_factor * np.linalg.inv(precisions(estimates, population.between).sum(axis=0))
+    values, deviations = _machine_values(estimates, population, mean_covariance)
+    mean_deviations = np.sqrt(np.diagonal(mean_covariance))
+    return Hierarchy(
+        mean,
+        mean_covariance,
+        _interval(mean, stdtrit(counts - 1, (1 + LEVEL) / 2) * mean_deviations),
+        population.between,
+        spreads,
+        values,
+        deviations,
+        _interval(values, ndtri((1 + LEVEL) / 2) * deviations),
+        population.weights,
+    )
+
+
+def _interval(middle: np.ndarray, half_width: np.ndarray) -> np.ndarray:
+    return np.stack([middle - half_width, middle + half_width], axis=-1)
+
+
+def _machine_values(
+    estimates: Estimates, population: JointPopulation, mean_covariance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the best prediction of μ + b of each machine and its standard deviation, shape [N, P] each."""
+    own = population.between / population.weights[:, None, None]
+    shrinkage = own @ precisions(estimates, own)
+    remaining = np.eye(len(population.mean)) - shrinkage
+    covariance = remaining @ own + remaining @ mean_covariance @ remaining.swapaxes(1, 2)
+    residuals = estimates.values - population.mean
+    values = population.mean + np.einsum("npq,nq->np", shrinkage, residuals)
+    return values, np.sqrt(np.maximum(0.0, np.diagonal(covariance, axis1=1, axis2=2)))
 
 
 class Population(NamedTuple):

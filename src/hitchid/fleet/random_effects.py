@@ -1,11 +1,210 @@
 """Random-effects regression of one parameter over machines, robust to outlying ones."""
 
+from collections.abc import Callable
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
+from scipy.optimize import root_scalar
+from scipy.special import chdtr, chdtri, ndtr
 
-from hitchid.fleet.robustness import constants_of, weights
+from hitchid.errors import InputError
+
+# Weights that bound the influence of outlying machines, and their constants at the normal distribution.
+
+CLIP = 2.0  # standard deviations beyond which a machine loses weight; chosen: 88 % efficient for the variance
+INSIDE = float(
+    2 * ndtr(CLIP) - 1
+)  # share of a normal distribution within CLIP, for every number of parameters
+
+
+class NormalConstants(NamedTuple):
+    """Expectations of the weights for normally distributed estimates.
+
+    Attributes:
+        clip: squared distance c² beyond which the weight c²/d² is below one.
+        consistency: κ = E[min(d², c²)] / p, by which the weighted squares are divided.
+        efficiency: degrees of freedom of the robust variance, as a share of those of the plain one.
+        mean_factor: variance of the robust mean, as a multiple of that of the plain one.
+    """
+
+    clip: float
+    consistency: float
+    efficiency: float
+    mean_factor: float
+
+
+PLAIN = NormalConstants(
+    float(np.finfo(float).max), 1.0, 1.0, 1.0
+)  # of plain REML, where no machine loses weight
+
+
+@cache
+def normal_constants(parameters: int = 1) -> NormalConstants:
+    """Return the constants for vectors of some length, d² ~ χ²ₚ.
+
+    The variance solves Σ min(d², c²)/κ = n p: its efficiency is 2 p F²/Var min(d², c²), F = P(χ²ₚ₊₂ < c²).
+    The mean solves Σ w(d²) r = 0: its variance is p E[w² d²]/E[p w + 2 d² w′]² times that of the plain mean.
+
+    Args:
+        parameters: p, length of the vectors.
+
+    Source: Huber 1981, Robust Statistics, proposal 2 and sec. 8 (M-estimates of a scatter matrix).
+    """
+    p = parameters
+    clip = float(chdtri(p, 1 - INSIDE))
+    inside, inside_2, inside_4 = (float(chdtr(p + more, clip)) for more in (0, 2, 4))
+    outside = 1 - inside
+    clipped = p * inside_2 + clip * outside
+    variance = p * (p + 2) * inside_4 + clip**2 * outside - clipped**2
+    inverse = _inverse_beyond(p, clip)
+    squared_score = p * inside_2 + clip**2 * inverse
+    slope = p * inside + (p - 2) * clip * inverse
+    return NormalConstants(clip, clipped / p, 2 * p * inside_2**2 / variance, squared_score * p / slope**2)
+
+
+def constants_of(parameters: int, *, robust: bool) -> NormalConstants:
+    """Return the constants for vectors of some length; the plain ones if not robust, or without a length."""
+    return normal_constants(parameters) if robust and parameters else PLAIN
+
+
+def _inverse_beyond(parameters: int, clip: float) -> float:
+    """Return E[1/d²; d² > c²] for d² ~ χ²ₚ."""
+    from scipy.integrate import quad
+    from scipy.stats import chi2
+
+    return float(quad(lambda square: chi2.pdf(square, parameters) / square, clip, np.inf)[0])
+
+
+def weights(squared: np.ndarray, clip: np.ndarray | float) -> np.ndarray:
+    """Return min(1, c²/d²), of the shape of the squared distances."""
+    return clip / np.maximum(squared, clip)
+
+
+# Interval of the standard deviation of one parameter between machines.
+
+LEVEL = 0.95  # of the interval
+MEAN_ITERATIONS, MEAN_TOLERANCE = (
+    100,
+    1e-9,
+)  # of the mean; relative to the smallest standard deviation; chosen
+LARGEST = 1e6  # upper end of the search, in sums of squares of the values; chosen
+
+
+def spread_interval(
+    values: Float[np.ndarray, " n"], variances: Float[np.ndarray, " n"], *, robust: bool = True
+) -> tuple[float, float]:
+    """Return the 95 % interval of τ, in the parameter's unit.
+
+    Its ends are where Q(τ²) = Σ min(z², c²)/κ, z² = (y − μ)²/(s² + τ²), is a quantile of its distribution:
+    ε Q ~ χ² with ε (n − 1) degrees of freedom, ε the efficiency of the robust variance.
+
+    Args:
+        values: y, estimates of one parameter, shape [N].
+        variances: s², squared standard errors, shape [N].
+        robust: False for κ = ε = 1 without a limit c.
+
+    Source: Viechtbauer 2007, Confidence intervals for the amount of heterogeneity in meta-analysis.
+    """
+    constants = constants_of(1, robust=robust)
+    freedom = constants.efficiency * (values.size - 1)
+    largest = LARGEST * float(np.sum((values - np.median(values)) ** 2) + np.max(variances))
+
+    def end(tail: float) -> float:
+        quantile = float(chdtri(freedom, tail))
+
+        def excess(between: float) -> float:
+            return constants.efficiency * _clipped_squares(values, variances + between, constants) - quantile
+
+        if excess(0.0) <= 0:
+            return 0.0
+        return float(np.sqrt(_root(excess, largest)))
+
+    return end((1 - LEVEL) / 2), end((1 + LEVEL) / 2)
+
+
+def _root(function: Callable[[float], float], largest: float) -> float:
+    found = root_scalar(function, bracket=(0.0, largest), method="brentq", rtol=MEAN_TOLERANCE)
+    return found.root
+
+
+def _clipped_squares(values: np.ndarray, total: np.ndarray, constants: NormalConstants) -> float:
+    """Return Q for known variances; the robust mean is iterated from the median."""
+    mean = float(np.median(values))
+    for _ in range(MEAN_ITERATIONS):
+        precision = weights((values - mean) ** 2 / total, constants.clip) / total
+        updated = float(precision @ values / precision.sum())
+        change, mean = abs(updated - mean), updated
+        if change <= MEAN_TOLERANCE * np.sqrt(float(total.min())):
+            break
+    return float(np.minimum(constants.clip, (values - mean) ** 2 / total).sum() / constants.consistency)
+
+
+# Many tests at once: adjusted p-values whose false discovery rate is controlled.
+
+
+def adjusted_p_values(p_values: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    """Return the smallest false discovery rate at which each test is a discovery.
+
+    With p₍₁₎ ≤ … ≤ p₍ₘ₎: q₍ᵢ₎ = min over j ≥ i of m p₍ⱼ₎/j.
+
+    Args:
+        p_values: of all tests, of any shape; NaN where there is no test, which is not counted.
+
+    Returns:
+        Adjusted p-values, of the same shape; NaN where there is no test.
+
+    Source: Benjamini & Hochberg 1995, Controlling the false discovery rate.
+    """
+    adjusted = np.full(p_values.shape, np.nan)
+    tested = np.flatnonzero(~np.isnan(p_values))
+    order = tested[np.argsort(p_values.flat[tested], kind="stable")]
+    rates = p_values.flat[order] * tested.size / np.arange(1, tested.size + 1)
+    adjusted.flat[order] = np.minimum(1.0, np.minimum.accumulate(rates[::-1])[::-1])
+    return adjusted
+
+
+# Checks of the estimates of a fleet.
+
+
+def checked_estimates(estimates: ArrayLike, covariances: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Return estimates and covariances as arrays of numbers; NaN in either is a missing parameter in both.
+
+    Args:
+        estimates: of each machine, shape [N, P], NaN where missing.
+        covariances: of the errors, shape [N, P, P].
+
+    Raises:
+        InputError: shapes that do not agree, an infinite value, a covariance that is not positive definite.
+    """
+    values, errors = np.array(estimates, float), np.array(covariances, float)
+    if values.ndim != 2:
+        raise InputError(f"estimates: got shape {values.shape}, expected [machines, parameters]")
+    expected = (*values.shape, values.shape[1])
+    if errors.shape != expected:
+        raise InputError(f"covariances: got shape {errors.shape}, expected {expected}")
+    if np.isinf(values).any() or np.isinf(errors).any():
+        raise InputError("estimates and covariances: got an infinite number, expected finite numbers or NaN")
+    missing = np.isnan(values) | np.isnan(np.diagonal(errors, axis1=1, axis2=2))
+    values[missing] = np.nan
+    errors[missing] = np.nan
+    errors.swapaxes(1, 2)[missing] = np.nan
+    _check_definite(errors, missing)
+    return values, errors
+
+
+def _check_definite(errors: np.ndarray, missing: np.ndarray) -> None:
+    filled = np.where(missing[:, :, None] | missing[:, None, :], np.eye(missing.shape[1]), errors)
+    smallest = np.linalg.eigvalsh((filled + filled.swapaxes(1, 2)) / 2)[:, 0] if filled.size else np.ones(0)
+    wrong = np.flatnonzero(~(smallest > 0))
+    if wrong.size:
+        raise InputError(
+            f"covariances: machine {wrong[0]}: got the smallest eigenvalue {smallest[wrong[0]]:.3g}, "
+            "expected a positive one"
+        )
+
 
 ITERATIONS, TOLERANCE = 200, 1e-9  # of the variance; relative to the variance of an estimate; chosen
 NORMAL_MAD = 1.4826  # standard deviation of a normal distribution, in its median absolute deviations

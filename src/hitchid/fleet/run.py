@@ -10,12 +10,10 @@ from functools import partial
 from typing import Generic
 
 from hitchid.errors import InputError
-from hitchid.fleet.cluster import run_on_cluster
-from hitchid.fleet.ledger import newest, read_rows, row_name, rows_in
-from hitchid.fleet.local import run_local
-from hitchid.fleet.machines import Machine, machines_of
+from hitchid.fleet.ledger import TABLE_FILE, compact, newest, read_rows, row_name, rows_in
 from hitchid.fleet.row import FAILED, OneRow, TaskRow
-from hitchid.fleet.table import TABLE_FILE, compact
+from hitchid.fleet.runners import run_local, run_on_cluster
+from hitchid.fleet.store import Machine, machines_of
 from hitchid.fleet.task import UNFINISHED, Acknowledgement, Job
 
 RUNNERS = ("local", "dask")

@@ -14,7 +14,7 @@ from hitchid.errors import HitchError, InputError, OutputError
 from hitchid.hmi import plans, project
 from hitchid.hmi.connected_source import ConnectedSource, connect
 from hitchid.hmi.disk import Disk
-from hitchid.hmi.limits import MARGIN, Limits
+from hitchid.hmi.plans import MARGIN, Limits
 from hitchid.hmi.recorder import Recorder
 from hitchid.hmi.run import Run
 from hitchid.hmi.safety import Safety, State

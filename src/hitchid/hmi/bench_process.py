@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hitchid._support.outbox import Outbox
+from hitchid._support.processes import Outbox
 from hitchid.errors import HitchError, InputError
 from hitchid.hmi.bench_loop import BenchLoop
 from hitchid.hmi.source import Reading
@@ -156,7 +156,7 @@ def main(arguments: Sequence[str]) -> None:
     Args:
         arguments: file descriptor of the connection, settings as JSON.
     """
-    from hitchid._support.compilation import prepare_jax
+    from hitchid._support.jax_setup import prepare_jax
 
     prepare_jax()
     descriptor, settings = int(arguments[0]), json.loads(arguments[1])

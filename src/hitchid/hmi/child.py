@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Mapping
 from multiprocessing.connection import Connection
 
-from hitchid._support.outbox import Outbox
+from hitchid._support.processes import Outbox
 
 
 class Child:

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from hitchid._support import checks
+from hitchid.bench.parameter_files import load_rig, parameter_sets
 from hitchid.errors import InputError
 from hitchid.hmi import project
-from hitchid.hmi.limits import Limits, limits_of_rig, read_limits
+from hitchid.hmi.plans import Limits, limits_of_rig, read_limits
 from hitchid.hmi.source import CLOSED, DISPLACEMENT, REQUIRED, Reading, Source
 from hitchid.hmi.sources import make_source
-from hitchid.rig.parameter_files import load_rig, parameter_sets
 
 FASTEST = 20  # samples of a virtual source in a tick at most; chosen: more than two cores reach
 # s, sampling times: the largest of a source that is moved bounds the delay of a stop; chosen.

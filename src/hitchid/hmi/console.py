@@ -14,17 +14,16 @@ from typing import Any
 import numpy as np
 
 import hitchid
+from hitchid.bench.parameter_files import parameter_sets
 from hitchid.errors import InputError, OutputError
 from hitchid.hmi import project
 from hitchid.hmi.child import Child
-from hitchid.hmi.clients import Client, Clients
+from hitchid.hmi.clients import Client, Clients, Pending
 from hitchid.hmi.disk import Disk
-from hitchid.hmi.history import History, SpeedEstimate, block_of, packed_rows
 from hitchid.hmi.jobs import Jobs
 from hitchid.hmi.model_beside import ModelBeside
-from hitchid.hmi.pending import Pending
+from hitchid.hmi.recorder import History, SpeedEstimate, block_of, packed_rows
 from hitchid.hmi.source import DISPLACEMENT, REQUIRED, Signal
-from hitchid.rig.parameter_files import parameter_sets
 
 ALIVE_S = 0.1  # s between signs of life to the bench loop
 LONGEST_SILENCE_S = 1.5  # s: three states that the bench loop did not tell, after which it hangs

@@ -16,10 +16,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from hitchid.data.settings_errors import describe
-from hitchid.data.signal_map import Strict
 from hitchid.errors import HitchError, InputError
 from hitchid.hmi import project
+from hitchid.logs.signal_map import Strict, describe
 
 BRIEF = "brief.toml"  # settings of a brief identification, written into the project
 LINES = 200  # of standard error that are kept

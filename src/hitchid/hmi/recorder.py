@@ -7,10 +7,100 @@ from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from hitchid.errors import OutputError
 from hitchid.hmi import project
 from hitchid.hmi.disk import Disk
 from hitchid.hmi.source import Reading, Signal
+
+# The samples of the last hour, in memory that is reserved at once.
+
+SPEED_SPAN_S = 0.1  # s; chosen: the noise of a sensor of 0.05 mm is 0.7 mm/s then
+HISTORY_S = 3600.0  # s that are kept; older samples are in the logs; chosen
+
+
+class History:
+    """Samples of a source in the order of time.
+
+    Args:
+        columns: numbers in a sample, the first of which is the time, s.
+        step_s: sampling time, s.
+    """
+
+    def __init__(self, columns: int, step_s: float) -> None:
+        self._rows = np.full((max(1, round(HISTORY_S / step_s)), columns), np.nan)
+        self.columns, self._count = columns, 0
+
+    def append(self, rows: np.ndarray) -> None:
+        """Append samples, shape [N, columns]; the oldest are overwritten."""
+        places = (self._count + np.arange(len(rows))) % len(self._rows)
+        self._rows[places] = rows
+        self._count += len(rows)
+
+    def decimated(self, begin_s: float, end_s: float, points: int) -> np.ndarray:
+        """Return lowest and highest value of each signal in equal bins, or every sample where it fits.
+
+        Args:
+            begin_s, end_s: interval, s.
+            points: largest number of rows.
+
+        Returns:
+            Samples, shape [M, columns]; a bin gives two rows at its ends.
+        """
+        rows = self._ordered()
+        first, last = np.searchsorted(rows[:, 0], [begin_s, end_s], side="left")
+        inside = rows[first : last + (last < len(rows) and rows[last, 0] == end_s)]
+        if len(inside) <= points:
+            return inside
+        edges = np.linspace(0, len(inside), max(1, points // 2) + 1).astype(int)
+        extremes = np.empty((2 * (len(edges) - 1), inside.shape[1]))
+        extremes[::2] = np.fmin.reduceat(inside, edges[:-1])
+        extremes[1::2] = np.fmax.reduceat(inside, edges[:-1])
+        extremes[::2, 0], extremes[1::2, 0] = inside[edges[:-1], 0], inside[edges[1:] - 1, 0]
+        return extremes
+
+    def _ordered(self) -> np.ndarray:
+        if self._count <= len(self._rows):
+            return self._rows[: self._count]
+        return np.roll(self._rows, -(self._count % len(self._rows)), axis=0)
+
+
+class SpeedEstimate:
+    """Speed from the displacement, by its difference over a tenth of a second.
+
+    Args:
+        column: of the displacement among the columns of a sample, the first of which is the time, s.
+        step_s: sampling time, s.
+    """
+
+    def __init__(self, column: int, step_s: float) -> None:
+        self._column = column
+        self._span = max(1, round(SPEED_SPAN_S / step_s))
+        self._before: np.ndarray | None = None
+
+    def advance(self, rows: np.ndarray) -> np.ndarray:
+        """Return the speed at each of the next samples, in the displacement's unit a second, shape [N]."""
+        pairs = rows[:, [0, self._column]]
+        if self._before is None:
+            self._before = np.repeat(pairs[:1], self._span, axis=0)
+        known = np.concatenate([self._before, pairs])
+        self._before = known[-self._span :]
+        elapsed_s, travel = (known[self._span :] - known[: -self._span]).T
+        return np.divide(travel, elapsed_s, out=np.zeros(len(rows)), where=elapsed_s > 0)
+
+
+def packed_rows(kind: int, rows: np.ndarray, wall_ms: float) -> bytes:
+    """Return samples as the page reads them: four unsigned numbers, the wall clock, the rows."""
+    header = np.array([kind, *rows.shape, 0], "<u4").tobytes() + np.array([wall_ms], "<f8").tobytes()
+    return header + np.ascontiguousarray(rows, "<f8").tobytes()
+
+
+def block_of(message: bytes) -> tuple[float, np.ndarray]:
+    """Return wall clock, ms, and rows of a block of the bench loop."""
+    numbers = np.frombuffer(message, dtype=float)
+    return float(numbers[0]), numbers[2:].reshape(-1, int(numbers[1]))
+
 
 FLUSH_S = 0.2  # s, longest time that samples wait before they are handed to the disk; chosen
 DIGITS = 10  # significant, of each value: below the rounding of any sensor

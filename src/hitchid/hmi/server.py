@@ -25,7 +25,7 @@ from hitchid.errors import HitchError, InputError
 from hitchid.hmi import project
 from hitchid.hmi.console import MEASURED, Console, Settings
 from hitchid.hmi.guard import SESSION, Guard, Sessions, cookie_name
-from hitchid.hmi.history import packed_rows
+from hitchid.hmi.recorder import packed_rows
 
 HOST = "127.0.0.1"
 MOST_JSON = 65_536  # bytes of a request, and of a message of a page; chosen

@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from hitchid.data.signal_map import DEFAULT_SIGNALS, Column
+from hitchid.logs.signal_map import DEFAULT_SIGNALS, Column
 
 LIFTING_COMMAND, LOWERING_COMMAND, DISPLACEMENT = "lifting_command", "lowering_command", "displacement"
 REQUIRED = (LIFTING_COMMAND, LOWERING_COMMAND, DISPLACEMENT)  # signals that every source has

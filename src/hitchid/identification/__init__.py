@@ -6,7 +6,6 @@ from hitchid.estimation import Search as Search
 from hitchid.estimation import Whale as Whale
 from hitchid.estimation.training import AdamConfig as AdamConfig
 from hitchid.identification.direction import ChannelTrace as ChannelTrace
-from hitchid.identification.holdout_test import HoldoutTest as HoldoutTest
 from hitchid.identification.identify import identify as identify
 from hitchid.identification.identify import identify_many as identify_many
 from hitchid.identification.phase2 import CompensatorConfig as CompensatorConfig
@@ -16,6 +15,7 @@ from hitchid.identification.selection import AutoStructure as AutoStructure
 from hitchid.identification.settings_file import Settings as Settings
 from hitchid.identification.settings_file import read_settings as read_settings
 from hitchid.identification.settings_file import stamp_of as stamp_of
+from hitchid.identification.speed_training import HoldoutTest as HoldoutTest
 from hitchid.identification.speed_training import SpeedCompensatorConfig as SpeedCompensatorConfig
 from hitchid.identification.train_rivals import train_rivals as train_rivals
 from hitchid.structures import ModelSpec as ModelSpec

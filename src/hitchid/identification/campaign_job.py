@@ -6,29 +6,80 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hitchid._support.checkpoints import Checkpoints
-from hitchid._support.parallel import parallel
-from hitchid._support.progress import ProgressCallback, parallel_progress
-from hitchid._support.versions import installed_versions
-from hitchid.audit import feedback_of
-from hitchid.data.campaign import Campaign
-from hitchid.data.record import COMMAND, CYCLE, DISPLACEMENT, Record
+from hitchid._support.jax_setup import installed_versions
+from hitchid._support.progress import ProgressCallback, attempt, parallel, parallel_progress
 from hitchid.errors import InputError, SettingsError
 from hitchid.identification.channel_trace import ChannelConfig, ChannelTrace
 from hitchid.identification.config import IdentificationConfig
-from hitchid.identification.cycle_test import cycle_errors
-from hitchid.identification.dead_zone import DeadZone
+from hitchid.identification.dead_zone import DeadZone, slow_clock_factor
 from hitchid.identification.direction import with_calibrated_gain
-from hitchid.identification.gain_calibration import calibrate_gains, calibration_improves
-from hitchid.identification.hold_drift import hold_drift
-from hitchid.identification.mode_test import compare_modes
-from hitchid.identification.optional import attempt
+from hitchid.identification.mode_test import calibrate_gains, calibration_improves, compare_modes
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.preparation import ChannelData, mixed_dead_zones, prepare
 from hitchid.identification.result import Identification
 from hitchid.identification.rivals import trained_rivals
 from hitchid.identification.selection import AutoStructure
+from hitchid.logs.audit import feedback_of
+from hitchid.logs.campaign import Campaign
+from hitchid.logs.kinds import direction_signs
+from hitchid.logs.record import COMMAND, CYCLE, DISPLACEMENT, Record
 from hitchid.model import Channel, Hitch, Provenance, Rivals, TravelLimits
 from hitchid.structures import ModelSpec
+
+# Test of the compensators for free run on whole cycles, where each continues where the other one ended.
+
+
+def without_speed_compensators(hitch: Hitch) -> Hitch:
+    """Return a hitch whose free runs are those of the benchmarks."""
+    channels = {
+        direction: replace(channel, speed_compensator=None) for direction, channel in hitch.channels.items()
+    }
+    return replace(hitch, channels=channels)
+
+
+def cycle_errors(hitch: Hitch, cycles: Sequence[Record]) -> tuple[float, float]:
+    """Return the free-run RMSE over whole cycles of a hitch, and of it without compensators for free run.
+
+    Each cycle has the same weight; in the displacement's unit.
+    """
+
+    def rmse(hitch: Hitch) -> float:
+        squares = [np.mean((hitch.simulate(each).displacement - each.displacement) ** 2) for each in cycles]
+        return float(np.sqrt(np.mean(squares)))
+
+    return rmse(hitch), rmse(without_speed_compensators(hitch))
+
+
+# Drift of a held piston.
+
+# s, at sampling times up to 0.1 s: time for lags of hydraulics to die away; shortest stretch with a slope.
+SETTLED_S, SHORTEST_S = 0.5, 0.5
+
+
+def hold_drift(records: Sequence[Record], dead_zones: Mapping[str, float]) -> float:
+    """Return the speed of a held piston, in the displacement's unit/s; zero where nothing is held.
+
+    The slope that displacement has in common over all stretches without effective command, from 0.5 s after
+    their start, of at least 0.5 s (five samples at long sampling times): least squares, each stretch with a
+    level of its own.
+
+    Args:
+        records: tests of any kind.
+        dead_zones: direction to dead zone, in the command's unit.
+    """
+    sum_time_displacement = sum_time_squared = 0.0
+    for record in records:
+        samples_per_s = slow_clock_factor(record.step_s) / record.step_s
+        settling_samples, min_samples = round(SETTLED_S * samples_per_s), round(SHORTEST_S * samples_per_s)
+        is_held = np.concatenate([[False], direction_signs(record, dead_zones) == 0, [False]])
+        edges = np.flatnonzero(np.diff(is_held.astype(np.int64)))
+        for start, stop in zip(edges[::2] + settling_samples, edges[1::2], strict=True):
+            if stop - start >= min_samples:
+                time_s = record.time_s[start:stop] - record.time_s[start:stop].mean()
+                sum_time_displacement += float(time_s @ record.displacement[start:stop])
+                sum_time_squared += float(time_s @ time_s)
+    return sum_time_displacement / sum_time_squared if sum_time_squared else 0.0
+
 
 ChannelResults = Mapping[str, tuple[Channel, ChannelTrace]]
 

@@ -8,15 +8,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hitchid._support.checkpoints import DISABLED, Checkpoints
-from hitchid._support.short_repr import short_repr
+from hitchid._support.records import short_repr
 from hitchid.estimation import Search
 from hitchid.estimation.training import TrainingHistory
 from hitchid.identification.candidates import Candidate, held_out_errors_of_choice
 from hitchid.identification.dead_zone import DeadZone
-from hitchid.identification.holdout_test import HoldoutTest
 from hitchid.identification.phase1 import Phase1
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.selection import AutoStructure
+from hitchid.identification.speed_training import HoldoutTest
 from hitchid.model import Characteristics, Rivals, Uncertainty
 from hitchid.structures import ModelSpec
 

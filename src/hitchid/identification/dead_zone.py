@@ -7,13 +7,13 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.signal import lfilter
 
-from hitchid._support.short_repr import short_repr
-from hitchid.data.record import Record
-from hitchid.data.test_kinds import ACTIVE_FRACTION, effective_command
+from hitchid._support.records import short_repr
 from hitchid.errors import LogError
+from hitchid.logs.kinds import ACTIVE_FRACTION, effective_command
+from hitchid.logs.record import Record
 from hitchid.model import Quantity, make_quantity
 from hitchid.uncertainty import NO_ERROR, DeadZoneError
-from hitchid.uncertainty.dead_zone_error import t_quantile
+from hitchid.uncertainty.scores import t_quantile
 
 CANDIDATES = 400  # grid points of the dead zone, 0.25 % of the largest command apart; chosen
 FLAT_TOLERANCE = 1e-3  # share of the largest residual sum by which dead zones must differ; chosen

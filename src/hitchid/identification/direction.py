@@ -8,30 +8,35 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid._support.progress import ProgressCallback, ProgressUpdate, split_progress
-from hitchid.data.record import DIRECTIONS
-from hitchid.identification.band_calibration import FEWEST_TESTS, band_notices, calibrate_bands
+from hitchid._support.progress import ProgressCallback, ProgressUpdate, attempt, split_progress
 from hitchid.identification.channel_trace import ChannelConfig, ChannelTrace, timed
-from hitchid.identification.compensator_horizon import JudgedCompensator, judge_compensator
-from hitchid.identification.cross_fitting import HeldOut, cross_fitted
 from hitchid.identification.dead_zone import DeadZone
-from hitchid.identification.gain_calibration import with_gain
-from hitchid.identification.held_out_compensators import CompensatorTraining, with_compensators
+from hitchid.identification.held_out import HeldOut, cross_fitted
+from hitchid.identification.held_out_training import (
+    FEWEST_TESTS,
+    CompensatorTraining,
+    JudgedCompensator,
+    band_notices,
+    calibrate_bands,
+    judge_compensator,
+    with_compensators,
+)
 from hitchid.identification.load_filter_fit import with_load_filters
-from hitchid.identification.optional import attempt
+from hitchid.identification.mode_test import with_gain
 from hitchid.identification.phase1 import Phase1, identify_benchmark
 from hitchid.identification.phase2 import epoch_callback, with_compensator
 from hitchid.identification.preparation import ChannelData
 from hitchid.identification.rivals import quick_rivals
 from hitchid.identification.selection import AutoStructure, Candidate, choose_spec
 from hitchid.identification.speed_training import train_speed_compensator
+from hitchid.logs.record import DIRECTIONS
 from hitchid.model import Bands, Channel, Characteristics, Uncertainty
 from hitchid.model.estimates import MAX_INTERVAL_RATIO, Estimate
 from hitchid.networks.operating_range import OperatingRange, SignalRange
 from hitchid.structures import Batch
 from hitchid.structures.structure import DEAD_TIME
 from hitchid.uncertainty import characteristics, information_of, load_scatter
-from hitchid.uncertainty.prediction_spread import HeldOutErrors
+from hitchid.uncertainty.conformal import HeldOutErrors
 
 POOR_FIT = 0.05  # RMSE in free run over the travel, from which on something is not as assumed (chosen)
 FEWEST_LOADS = 3  # tests, of which two differences are left beside the gain

@@ -12,8 +12,7 @@ from jaxtyping import Array, Bool, Float
 from scipy.optimize import OptimizeResult, minimize
 
 from hitchid.errors import FitError
-from hitchid.identification.cross_fitting import HeldOut, held_out_free_runs
-from hitchid.identification.held_out_predictions import within_a_second
+from hitchid.identification.held_out import HeldOut, held_out_free_runs, within_a_second
 from hitchid.model import Channel
 from hitchid.model.load_filter import LoadFilter
 from hitchid.structures import Batch

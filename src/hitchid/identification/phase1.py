@@ -10,16 +10,17 @@ from hitchid._support.checkpoints import DISABLED, Checkpoints
 from hitchid._support.progress import (
     ProgressCallback,
     ProgressUpdate,
+    attempt,
     iteration_progress,
     silent,
     split_progress,
 )
-from hitchid._support.short_repr import short_repr
+from hitchid._support.records import short_repr
 from hitchid.estimation import Objective, Search, SearchResult, best_refined, refine, search_problem
-from hitchid.identification.optional import attempt
 from hitchid.model import Estimate, Estimates
 from hitchid.structures import Batch, ModelSpec, PhysicalModel
-from hitchid.uncertainty import NO_ERROR, DeadZoneError, Influence, assess, unassessed
+from hitchid.uncertainty import NO_ERROR, DeadZoneError, Influence, unassessed
+from hitchid.uncertainty.intervals import assess
 
 GAIN_ITERATIONS = 3  # of the gain, on which the travel depends weakly through the gain along the stroke
 SEARCH_SAMPLES = 8192  # of a test, at most, in the search

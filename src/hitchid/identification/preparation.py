@@ -5,11 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hitchid.audit import find_end_stop, quality, update_interval
-from hitchid.data.campaign import STROKE_SEPARATOR, Campaign
-from hitchid.data.left_out import LeftOut, left_out_notices, refuse, split_usable
-from hitchid.data.record import CYCLE, DIRECTIONS, LIFTING, Record
-from hitchid.data.test_kinds import ACTIVE_FRACTION, split_by_direction
 from hitchid.errors import InputError, LogError
 from hitchid.identification.dead_zone import (
     DeadZone,
@@ -19,6 +14,12 @@ from hitchid.identification.dead_zone import (
     ramp_rate,
     response_delay,
 )
+from hitchid.logs.audit import find_end_stop, update_interval
+from hitchid.logs.audit.context import quality
+from hitchid.logs.campaign import STROKE_SEPARATOR, Campaign
+from hitchid.logs.kinds import ACTIVE_FRACTION, split_by_direction
+from hitchid.logs.record import CYCLE, DIRECTIONS, LIFTING, Record
+from hitchid.logs.unification import LeftOut, left_out_notices, refuse, split_usable
 from hitchid.model import Channel
 from hitchid.networks.operating_range import OperatingRange
 from hitchid.structures import Batch, PhysicalModel, before_end_stop, split_validation

@@ -13,19 +13,17 @@ import numpy as np
 from jaxtyping import Array, Key, PRNGKeyArray
 
 from hitchid._support import checks
-from hitchid._support.progress import ProgressCallback, ProgressUpdate, split_progress
-from hitchid._support.short_repr import short_repr
-from hitchid.baselines.baseline import Baseline, FitContext
-from hitchid.baselines.fitted import FittedBaseline
+from hitchid._support.progress import ProgressCallback, ProgressUpdate, attempt, split_progress
+from hitchid._support.records import short_repr
+from hitchid.baselines.baseline import Baseline, FitContext, FittedBaseline
 from hitchid.baselines.registry import all_baselines
-from hitchid.data.record import DIRECTIONS
 from hitchid.estimation import Objective, SearchComparison, SearchHistory, compare_searches
 from hitchid.identification.candidates import Candidate
 from hitchid.identification.channel_trace import ChannelConfig
-from hitchid.identification.optional import attempt
 from hitchid.identification.phase1 import find_parameters, identify_benchmark
 from hitchid.identification.phase2 import CompensatorConfig, epoch_callback, with_compensator
 from hitchid.identification.preparation import ChannelData
+from hitchid.logs.record import DIRECTIONS
 from hitchid.model import Channel, Estimates, Rivals, SearchSummary
 from hitchid.networks.operating_range import OperatingRange
 from hitchid.structures import PhysicalModel

@@ -12,24 +12,22 @@ from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent, 
 from hitchid.errors import FitError
 from hitchid.estimation import Objective, Search, allows_per_test_gain
 from hitchid.identification.candidates import (
-    Candidate,
-    Evaluation,
-    best_candidate,
-    evaluate,
-    evaluation_shapes,
-    fit_and_evaluate,
-    operating_point_folds,
-    with_positions,
-)
-from hitchid.identification.nested_specs import (
     CURVE_STARTS,
     MIDDLE,
     NEUTRAL_POSITIONS,
     NEXT_STRUCTURES,
+    Candidate,
+    Evaluation,
+    best_candidate,
     covariate_specs,
+    evaluate,
+    evaluation_shapes,
+    fit_and_evaluate,
     largest_spec,
     nested_specs,
+    operating_point_folds,
     starts,
+    with_positions,
 )
 from hitchid.identification.phase1 import Fit, Phase1, assess_fit, continue_fit, find_parameters
 from hitchid.structures import (

@@ -7,19 +7,25 @@ from typing import Annotated, Any, Literal, TypedDict
 
 from pydantic import Field, ValidationError
 
-from hitchid.data.record import DIRECTIONS
-from hitchid.data.settings_errors import describe
-from hitchid.data.signal_map import Strict, parse_settings
 from hitchid.errors import InputError, SettingsError
-from hitchid.estimation import DifferentialEvolution, MultiStart, Search, SearchComparison, Whale
-from hitchid.estimation.global_search import EVALUATIONS, WhaleConfig
+from hitchid.estimation import (
+    EVALUATIONS,
+    DifferentialEvolution,
+    MultiStart,
+    Search,
+    SearchComparison,
+    Whale,
+    WhaleConfig,
+)
 from hitchid.estimation.training import AdamConfig
-from hitchid.identification.arguments import LARGEST_SEED, identification_config
+from hitchid.identification.config import LARGEST_SEED, identification_config
 from hitchid.identification.identify import DEFAULT_STRUCTURES, PAPER_SPECS, TRAINING, WHALE
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.rivals import RivalsConfig
 from hitchid.identification.selection import AutoStructure
 from hitchid.identification.speed_training import SpeedCompensatorConfig
+from hitchid.logs.record import DIRECTIONS
+from hitchid.logs.signal_map import Strict, describe, parse_settings
 from hitchid.model.schema import KeptSettings
 from hitchid.structures import CovariateEffects, ModelSpec, structure_named
 

@@ -3,17 +3,17 @@
 from pathlib import Path
 
 from hitchid._support import checks
-from hitchid._support.precision import double_precision
+from hitchid._support.jax_setup import double_precision
 from hitchid._support.progress import ProgressCallback
 from hitchid._support.progress_display import shown
-from hitchid.data.campaign import Campaign
 from hitchid.errors import InputError
 from hitchid.estimation import SearchComparison
-from hitchid.identification.arguments import check_campaign, identification_config
 from hitchid.identification.campaign_job import CampaignJob
+from hitchid.identification.config import check_campaign, identification_config
 from hitchid.identification.identify import DEFAULT_STRUCTURES, PAPER_SPECS
 from hitchid.identification.rivals import RivalsConfig
 from hitchid.identification.settings_file import Settings, settings_of_model
+from hitchid.logs.campaign import Campaign
 from hitchid.model import Hitch
 
 SEARCHES = SearchComparison()

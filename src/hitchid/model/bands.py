@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
-from hitchid._support.short_repr import short_repr
+from hitchid._support.records import short_repr
 from hitchid.errors import InputError
 
 

@@ -13,12 +13,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Float32, Int
 
-from hitchid.data.record import DIRECTIONS
-from hitchid.data.test_kinds import ACTIVE_FRACTION
+from hitchid.logs.kinds import ACTIVE_FRACTION
+from hitchid.logs.record import DIRECTIONS
 from hitchid.model.channel import Channel
 from hitchid.model.error_prediction import clip_at_end_stops, compute_features, predict_innovation, select
+from hitchid.model.inputs import channel_load, mean_load
 from hitchid.model.load_filter import OFFSET, LoadFilter
-from hitchid.model.loads import channel_load, mean_load
 from hitchid.model.state import (
     ChannelState,
     HitchState,

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Float32
 
 from hitchid.model.channel import Channel
-from hitchid.model.loads import channel_load
+from hitchid.model.inputs import channel_load
 from hitchid.model.state import HitchState, NetworkInput
 from hitchid.networks.error_compensator import FEATURES, Compensator, FeatureState, Sample
 from hitchid.networks.lstm import SINGLE, LstmState

@@ -3,7 +3,42 @@
 from dataclasses import dataclass, replace
 from math import inf, log
 
-from hitchid._support.short_repr import short_repr
+from hitchid._support.records import short_repr
+from hitchid.model.bands import Bands
+
+# Record of the Fisher information of the identification tests, for correlated errors.
+
+
+@short_repr
+@dataclass(frozen=True)
+class Information:
+    """Fisher information of the identification tests, for the parameters that are not at a bound.
+
+    Parameters are scaled to positions between the bounds of the search, 0 the lower and 1 the upper one.
+
+    Attributes:
+        names: names of these parameters.
+        slopes: dθ/dposition of each parameter.
+        curvature: H = Σ Jₜᵀ Jₜ.
+        score_covariance: S = Σ gₜ gₜᵀ over tests; the covariance of the estimates is H⁻¹ S H⁻¹.
+        dead_zone_covariance: added to it for the error of the dead zone; independent of the number of tests.
+        autocovariance: autocovariance of the errors at multiples of the block size.
+        block_size: samples between two lags of the autocovariance.
+        per_test_gain: whether the fit had a gain factor for each test, which reduces the information.
+        tests, samples: number of tests, and mean number of samples of a test.
+    """
+
+    names: tuple[str, ...]
+    slopes: tuple[float, ...]
+    curvature: tuple[tuple[float, ...], ...]
+    score_covariance: tuple[tuple[float, ...], ...]
+    dead_zone_covariance: tuple[tuple[float, ...], ...]
+    autocovariance: tuple[float, ...]
+    block_size: int
+    per_test_gain: bool
+    tests: int
+    samples: float
+
 
 Interval = tuple[float | None, float | None]
 NOT_ASSESSED = "none"  # method of an estimate for which no interval was computed
@@ -136,3 +171,180 @@ def make_quantity(name: str, unit: str, value: float, interval: Interval, resolu
 def _scale_interval(interval: Interval, factor: float) -> Interval:
     lower, upper = interval
     return None if lower is None else factor * lower, None if upper is None else factor * upper
+
+
+# Operating characteristics of one direction: speed map, dead zone, opening, delay, response time.
+
+# Error up to which a speed is determined, as a share of it and of the fastest speed of the map; chosen.
+SPEED_TOLERANCE, FASTEST_SPEED_TOLERANCE = 0.25, 0.05
+TIME_RESOLUTION_SAMPLES = 2  # samples: an interval of a delay up to this width is determined; chosen
+
+
+@short_repr
+@dataclass(frozen=True)
+class SpeedPoint:
+    """Steady speed at one level of the command, at mid stroke.
+
+    Attributes:
+        command: size of the command as logged.
+        load: the covariate before motion; None where the model has none.
+        speed: positive in the direction of the command, in the displacement's unit per s.
+        interval: 95 % interval; None for an end that the tests do not determine.
+        determined: whether both ends lie within a quarter of the speed, or within a twentieth of the
+            fastest one of the map.
+    """
+
+    command: float
+    load: float | None
+    speed: float
+    interval: Interval
+    determined: bool
+
+    @classmethod
+    def of(
+        cls, command: float, load: float | None, speed: float, interval: Interval, fastest: float
+    ) -> "SpeedPoint":
+        """Create a point, determined or not by its interval; `fastest` is the fastest speed of the map."""
+        lower, upper = interval
+        tolerance = max(SPEED_TOLERANCE * speed, FASTEST_SPEED_TOLERANCE * fastest)
+        determined = (
+            lower is not None and upper is not None and max(speed - lower, upper - speed) <= tolerance
+        )
+        return cls(command, load, speed, interval, determined)
+
+    def scaled(self, factor: float) -> "SpeedPoint":
+        """Return the point with a factor on the gain."""
+        lower, upper = self.interval
+        scaled_interval = None if lower is None else factor * lower, None if upper is None else factor * upper
+        return replace(self, speed=factor * self.speed, interval=scaled_interval)
+
+
+@short_repr
+@dataclass(frozen=True)
+class MeasuredSpeed:
+    """Mean speed of an identification test around mid stroke at a constant command.
+
+    Attributes:
+        command, load, speed: as in `SpeedPoint`, measured.
+    """
+
+    command: float
+    load: float | None
+    speed: float
+
+
+@short_repr
+@dataclass(frozen=True)
+class Characteristics:
+    """Operating characteristics of one direction, derived from the fitted model.
+
+    Attributes:
+        command_unit, speed_unit: units of all commands and speeds.
+        load: name of the covariate; None where the model has none.
+        dead_zone: dead zone of the command, from ramps or tests, or as given.
+        opening: command at which flow begins; None where the model has no valve curve.
+        level: size of the command step for delay and response time.
+        delay: time from a command step at rest until the speed reaches 5 % of its final value, s; None
+            where the model has neither dead time nor lag.
+        response_time: the same until 63.2 %, delay included, s; None likewise.
+        speed_map: steady speed at mid stroke at each level, for each load.
+        measured: speeds measured in identification tests with a long enough constant command.
+    """
+
+    command_unit: str
+    speed_unit: str
+    load: str | None
+    dead_zone: Quantity
+    opening: Quantity | None
+    level: float
+    delay: Quantity | None
+    response_time: Quantity | None
+    speed_map: tuple[SpeedPoint, ...]
+    measured: tuple[MeasuredSpeed, ...]
+
+    def scaled(self, factor: float) -> "Characteristics":
+        """Return the characteristics with a factor on the gain; measured speeds are not changed."""
+        return replace(self, speed_map=tuple(point.scaled(factor) for point in self.speed_map))
+
+
+# Record of a load that differs from test to test: its scatter, and each test's own value.
+
+STANDSTILL = -1.0  # speed of a test above the model's, relative, at which the piston stands
+MAX_SHRINKAGE = 0.3  # of a scatter that is determined; Savic & Karlsson 2009 call 0.2 to 0.3 high
+
+
+@short_repr
+@dataclass(frozen=True)
+class LoadOfTest:
+    """How much faster than the model one test runs.
+
+    Attributes:
+        test: its name.
+        speed: b, relative: 0.04 runs 4 % fast.
+        interval: 95 % interval; −1 at least, at which the piston stands.
+    """
+
+    test: str
+    speed: float
+    interval: tuple[float, float]
+
+    @property
+    def determined(self) -> bool:
+        """Whether the interval excludes a piston that stands, which no load of a test that moves explains."""
+        return self.interval[0] > STANDSTILL
+
+
+@short_repr
+@dataclass(frozen=True)
+class LoadScatter:
+    """Scatter of the speed between tests due to a load that nobody measures, and each test's own speed.
+
+    Attributes:
+        scatter: ω, standard deviation of the speed between tests, relative.
+        interval: 95 % interval of ω; the upper end is None where the tests do not determine it.
+        shrinkage: 1 − sd(b̂)/ω, b̂ the values of the tests; 1 where ω is 0.
+        tests: each test's own value, in the order of the tests.
+    """
+
+    scatter: float
+    interval: Interval
+    shrinkage: float
+    tests: tuple[LoadOfTest, ...]
+
+    @property
+    def determined(self) -> bool:
+        """Whether the interval excludes 0 and is closed, and the shrinkage is at most 30 %."""
+        lower, upper = self.interval
+        return bool(lower) and upper is not None and self.shrinkage <= MAX_SHRINKAGE
+
+    @property
+    def sentence(self) -> str:
+        """The scatter with its interval, in percent."""
+        lower, upper = self.interval
+        ends = f"{100 * (lower or 0.0):.2g} to " + ("∞" if upper is None else f"{100 * upper:.2g}")
+        caveat = "" if self.determined else ", not determined"
+        return f"speed differs between tests by ± {100 * self.scatter:.2g} % (95 %: {ends} %{caveat})"
+
+
+# Record of the uncertainty of one channel: parameters, bands, operating characteristics.
+
+
+@short_repr
+@dataclass(frozen=True)
+class Uncertainty:
+    """Uncertainty of one channel.
+
+    Attributes:
+        benchmark: estimates of the benchmark's parameters.
+        bands: bands around the predictions; None where there were too few tests.
+        information: Fisher information of the tests, for the design of the next one.
+        characteristics: speed map, dead zone, delay and response time; None where the structure has no steady
+            speed, or where they could not be computed.
+        load_scatter: scatter of the speed between tests; None where it could not be computed.
+    """
+
+    benchmark: Estimates
+    bands: Bands | None = None
+    information: Information | None = None
+    characteristics: Characteristics | None = None
+    load_scatter: LoadScatter | None = None

@@ -14,33 +14,39 @@ from jaxtyping import Array
 
 from hitchid._support import checks
 from hitchid._support.checks import named_arguments
-from hitchid._support.precision import double_precision
-from hitchid._support.summary import Summarised, Summary
-from hitchid._support.values import Value
-from hitchid.data.record import DIRECTIONS, Record
-from hitchid.data.segmentation import CommandThreshold
+from hitchid._support.jax_setup import double_precision
+from hitchid._support.records import Value
+from hitchid._support.tables import Summarised, Summary
 from hitchid.errors import InputError
-from hitchid.model import conversion, extrapolation, pickling, plotting, thresholds
+from hitchid.handover.linear import Handover
+from hitchid.logs.kinds import CommandThreshold
+from hitchid.logs.record import DIRECTIONS, Record
+from hitchid.model import pickling, plotting, simulation, thresholds
 from hitchid.model.bands import Band, Bands, bands_by_channel
 from hitchid.model.channel import Channel
-from hitchid.model.commands import Commands, Frame, Numbers, record_or_commands, required_record
 from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
+from hitchid.model.estimates import Uncertainty
 from hitchid.model.free_run import last_measured, multi_step_predictions
-from hitchid.model.handover import Handover
+from hitchid.model.inputs import (
+    Commands,
+    Frame,
+    Load,
+    Numbers,
+    covariates_of,
+    load_to_estimate,
+    record_or_commands,
+    required_record,
+)
 from hitchid.model.limits import TravelLimits
-from hitchid.model.loads import Load, covariates_of, load_to_estimate
-from hitchid.model.packing import Packed
-from hitchid.model.parameters import ParameterTable, parameter_table
+from hitchid.model.parameters import ParameterTable, parameter_table, with_parameters
 from hitchid.model.provenance import Provenance, TwoModes
 from hitchid.model.rivals import Rivals
-from hitchid.model.set_by_hand import with_parameters
 from hitchid.model.simulation import SimulatedModel, Simulation, simulate
 from hitchid.model.state import HitchState, Switching
-from hitchid.model.step import LOAD_BANK_NDIM, STATE_REQUIRED, StepFunctions, join_inputs
-from hitchid.model.uncertainty import Uncertainty
+from hitchid.model.step import LOAD_BANK_NDIM, STATE_REQUIRED, Packed, StepFunctions, join_inputs
 
 if TYPE_CHECKING:
-    from hitchid.adaptation import Adaptation, AdaptationSettings, Event
+    from hitchid.live import Adaptation, AdaptationSettings, Event
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -91,7 +97,7 @@ class Hitch(Value, Summarised, Handover):
             direction: direction of a channel.
             name: `command`, `displacement` or `load`.
         """
-        return extrapolation.describe_range(self.channels[direction], self.units, name)
+        return simulation.describe_range(self.channels[direction], self.units, name)
 
     @property
     def has_trained_rivals(self) -> bool:
@@ -277,7 +283,7 @@ class Hitch(Value, Summarised, Handover):
         checks.integer(stride, "stride", minimum=1)
         record = required_record(record)
         model_record = self.to_model_units(record)
-        initial = conversion.initial_condition(model_record, self.channels)
+        initial = simulation.condition_before_motion(model_record, self.channels)
         rows = multi_step_predictions(self.dynamics, model_record, initial, horizons, stride)
         return np.stack([self._to_record_units(row, model_record, record) for row in rows])
 
@@ -301,7 +307,7 @@ class Hitch(Value, Summarised, Handover):
         bands = bands_by_channel(self.bands, tuple(self.channels))
         record = required_record(record)
         model_record = self.to_model_units(record)
-        initial = conversion.initial_condition(model_record, self.channels)
+        initial = simulation.condition_before_motion(model_record, self.channels)
         (predicted,) = multi_step_predictions(self.dynamics, model_record, initial, (horizon,), 1)
         movement = predicted - last_measured(model_record.displacement, float(initial.displacement), horizon)
         half_widths = np.stack([each.half_width(coverage, horizon, movement) for each in bands])
@@ -339,7 +345,7 @@ class Hitch(Value, Summarised, Handover):
             InputError: `folder` is not a path.
             OutputError: the folder exists, or cannot be written.
         """
-        from hitchid.model.artifact import save
+        from hitchid.model.folder import save
 
         save(self, folder, force=force)
 
@@ -391,7 +397,7 @@ class Hitch(Value, Summarised, Handover):
             InputError: the model was adapted already, a channel has no gain behind a dead zone, or a record
                 cannot be converted to the model's units.
         """
-        from hitchid.adaptation.replay import adapt
+        from hitchid.live.adapter import adapt
 
         return adapt(self, records, settings=settings, load=load, earlier=earlier)
 
@@ -402,7 +408,7 @@ class Hitch(Value, Summarised, Handover):
             InputError: the record has no command of any channel, an effective command without a channel, or
                 a unit of another dimension than the model's.
         """
-        return conversion.to_model_units(record, tuple(self.channels), self.units, self.step_s)
+        return simulation.to_model_units(record, tuple(self.channels), self.units, self.step_s)
 
     plot = plotting.plot_speed_map
     plot_step_response = plotting.plot_step_response
@@ -439,7 +445,7 @@ class Hitch(Value, Summarised, Handover):
         return functions
 
     def _to_record_units(self, displacement: np.ndarray, model_record: Record, record: Record) -> np.ndarray:
-        return conversion.to_record_units(displacement, self.units, model_record, record)
+        return simulation.to_record_units(displacement, self.units, model_record, record)
 
     def _summary(self) -> Summary:
         from hitchid.model.summary import hitch_summary

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from hitchid.data.record import Record
+from hitchid.logs.record import Record
 
 MARGIN = 0.1  # share of the range of the logs: distance of a limit that is no stop; chosen
 ROUNDING = 1e-9  # share of the distance between the limits: tolerance for rounding errors

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from hitchid._support.precision import double_precision
-from hitchid._support.short_repr import short_repr
+from hitchid._support.jax_setup import double_precision
+from hitchid._support.records import short_repr
 
 OFFSET, LOAD, TRANSIENT = range(3)  # order of the filter's states
 UPPER = tuple((i, j) for i in range(3) for j in range(i, 3))  # entries of a symmetric matrix

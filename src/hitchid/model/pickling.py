@@ -2,8 +2,8 @@
 
 import pickle
 
-from hitchid._support.precision import double_precision
-from hitchid._support.values import Value, field_values, rebuild
+from hitchid._support.jax_setup import double_precision
+from hitchid._support.records import Value, field_values, rebuild
 
 
 def reduced(model: Value) -> tuple:

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hitchid._support import checks
-from hitchid._support.precision import double_precision
-from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT
+from hitchid._support.jax_setup import double_precision
 from hitchid.errors import InputError
-from hitchid.model import responses
+from hitchid.handover import responses
+from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT
 from hitchid.model.channel import Channel
-from hitchid.model.characteristics import Characteristics
+from hitchid.model.estimates import Characteristics
 from hitchid.model.parameter_draws import draws_of
 
 if TYPE_CHECKING:
@@ -42,7 +42,8 @@ def plot_speed_map(model: "Hitch", axes: "Axes | Sequence[Axes] | np.ndarray | N
     Raises:
         InputError: another number of axes is given, or a channel has no steady speed.
     """
-    from hitchid.plots import canvas, draw_dead_zone
+    from hitchid.plots import draw_dead_zone
+    from hitchid.plots.style import canvas
 
     with canvas(axes, 1, len(model.channels), height_in=MAP_IN, legend_each=True) as drawn:
         for each, (direction, channel) in zip(drawn, model.channels.items(), strict=True):
@@ -61,7 +62,8 @@ def plot_simulation(
     simulation: "Simulation", axes: "Sequence[Axes] | np.ndarray | None" = None
 ) -> np.ndarray:
     """Draw simulated displacement above and the commands below; see `Simulation.plot`."""
-    from hitchid.plots import canvas, draw_commands, draw_displacement
+    from hitchid.plots import draw_commands, draw_displacement
+    from hitchid.plots.style import canvas
 
     units = simulation.model.units
     commands = {
@@ -131,7 +133,8 @@ def plot_step_response(
         InputError: the model has no such direction, another number of axes is given, a command or the
             duration is not positive, or `commands` is None and the model does not know those of its tests.
     """
-    from hitchid.plots import LEVEL_COLOURS, BandedCurve, canvas, draw_curves
+    from hitchid.plots import LEVEL_COLOURS, BandedCurve, draw_curves
+    from hitchid.plots.style import canvas
 
     directions = _directions(model, direction)
     unit, count = model.units[DISPLACEMENT], len(directions)
@@ -165,7 +168,7 @@ def plot_bode(
     """Draw the Bode diagram from command beyond the dead zone to travel.
 
     The frequency response is that of the continuous physical model with its dead time, without networks;
-    see `hitchid.model.frequency_response`. The band contains 95 % of the responses of 200 parameter vectors,
+    see `hitchid.handover.frequency_response`. The band contains 95 % of the responses of 200 parameter vectors,
     drawn from the distribution of the estimates; a model without estimates has none.
 
     Args:
@@ -183,7 +186,8 @@ def plot_bode(
         InputError: the model has no such direction, its structure is not linear, other than two axes are
             given, or a frequency is not positive.
     """
-    from hitchid.plots import DIRECTION_COLOURS, BandedCurve, canvas, draw_bode
+    from hitchid.plots import DIRECTION_COLOURS, BandedCurve, draw_bode
+    from hitchid.plots.style import canvas
 
     if command is not None:
         checks.number(command, "command", above=0.0)

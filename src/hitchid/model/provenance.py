@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from hitchid._support.short_repr import short_repr
+from hitchid._support.records import short_repr
 
 CLEAR_RATIO = (
     1.25  # of the errors of one shared and of two models, from which on two are clearly better; chosen

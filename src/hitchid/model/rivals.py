@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from hitchid._support.short_repr import short_repr
-from hitchid.baselines.fitted import FittedBaseline
+from hitchid._support.records import short_repr
+from hitchid.baselines.baseline import FittedBaseline
 from hitchid.model.channel import Channel
 from hitchid.model.estimates import Estimates
 from hitchid.model.limits import TravelLimits

@@ -17,21 +17,17 @@ from pydantic import (
     model_validator,
 )
 
-from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT
-from hitchid.data.resampling import SHORTEST_STEP_S
-from hitchid.data.settings_errors import describe
-from hitchid.data.signal_map import DIMENSIONS, Strict
-from hitchid.data.units import UNITS
 from hitchid.errors import InputError, ModelFolderError
+from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT
+from hitchid.logs.resampling import SHORTEST_STEP_S
+from hitchid.logs.signal_map import DIMENSIONS, Strict, describe
+from hitchid.logs.units import UNITS
 from hitchid.model.bands import Bands
-from hitchid.model.characteristics import Characteristics
 from hitchid.model.dynamics import MAX_MAGNITUDE
-from hitchid.model.estimates import Estimates
-from hitchid.model.information import Information
+from hitchid.model.estimates import Characteristics, Estimates, Information, Uncertainty
 from hitchid.model.limits import TravelLimits
 from hitchid.model.provenance import TwoModes
 from hitchid.model.rivals import SearchSummary
-from hitchid.model.uncertainty import Uncertainty
 from hitchid.networks.error_compensator import FEATURES
 from hitchid.structures import (
     DEAD_TIME,
@@ -44,8 +40,7 @@ from hitchid.structures import (
     scheduled_quantities,
     structure_named,
 )
-from hitchid.structures.scheduling import POWERS
-from hitchid.structures.static_nonlinearity import NEUTRAL
+from hitchid.structures.nonlinearity import NEUTRAL, POWERS
 
 SCHEMA = 13  # version of the layout of a model folder
 LONGEST_STEP_S = 3600.0  # s; what is sampled more rarely is no drive: chosen

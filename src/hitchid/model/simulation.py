@@ -5,28 +5,222 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Float
 from numpy.typing import DTypeLike
 
 from hitchid._support import checks
-from hitchid._support.dataframes import dataframe
-from hitchid._support.precision import double_precision
-from hitchid._support.summary import GAP, screen, wrapped
-from hitchid.data.record import DISPLACEMENT, Record, held_rows
-from hitchid.data.units import conversion_factor
+from hitchid._support.jax_setup import double_precision
+from hitchid._support.tables import GAP, dataframe, screen, wrapped
 from hitchid.errors import InputError
-from hitchid.model import conversion
+from hitchid.logs.kinds import ACTIVE_FRACTION, effective_command, full_scales
+from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT, Record, held_rows
+from hitchid.logs.units import conversion_factor
 from hitchid.model.bands import Band, Bands, bands_by_channel
-from hitchid.model.commands import Commands, Numbers, record_of_commands
+from hitchid.model.channel import Channel
 from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
-from hitchid.model.ensemble import hitch_half_width
-from hitchid.model.extrapolation import OutOfRange, out_of_range
-from hitchid.model.free_run import FreeRun, FreeRunInputs, commands_of, free_run
-from hitchid.model.loads import Load, covariates_of, loads_by_name
+from hitchid.model.free_run import (
+    FreeRun,
+    FreeRunInputs,
+    InitialCondition,
+    commands_of,
+    free_run,
+    hitch_half_width,
+)
+from hitchid.model.inputs import (
+    Commands,
+    Load,
+    Numbers,
+    channel_load,
+    covariates_of,
+    loads_by_name,
+    record_of_commands,
+    stacked,
+)
+from hitchid.structures import mean_before_motion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pandas import DataFrame
+
+
+# Conversion of records to a model's clock and units, and of displacements back.
+
+MAX_CLOCK_SHIFT = 0.05  # share of a sampling time that two clocks may differ over a whole record; chosen
+
+
+def to_model_units(
+    record: Record, directions: Sequence[str], units: Mapping[str, str], step_s: float
+) -> Record:
+    """Return a record on a model's clock and in its units; see `Hitch.to_model_units`."""
+    checks.instance(record, Record, "record", 'one of hitchid.read("logs").records')
+    if not any(direction in record.directions for direction in directions):
+        raise InputError(
+            f"record '{record.name}' has commands for {' and '.join(record.directions)}; "
+            f"the model has channels for {' and '.join(directions)}"
+        )
+    converted = record.convert({role: unit for role, unit in units.items() if role in record.signals})
+    resampled = (
+        converted if _same_clock(converted.step_s, step_s, len(converted)) else converted.resample(step_s)
+    )
+    scales = full_scales([record])
+    for direction in record.directions:
+        active = np.abs(record.command(direction)) > ACTIVE_FRACTION * scales[direction]
+        if direction not in directions and np.any(active):
+            raise InputError(
+                f"record '{record.name}': its {direction} command is not zero; the model has no {direction} "
+                "channel"
+            )
+    return resampled
+
+
+def to_record_units(
+    displacement: Float[np.ndarray, "*m n"],
+    units: Mapping[str, str],
+    model_record: Record,
+    record: Record,
+) -> np.ndarray:
+    """Return a displacement of the model on the record's clock and in its unit."""
+    factor = conversion_factor(units[DISPLACEMENT], record.unit, record.name)
+    return factor * interpolated(displacement, model_record.time_s, record.time_s)
+
+
+def interpolated(
+    samples: Float[np.ndarray, "*m n"], old_times_s: np.ndarray, new_times_s: np.ndarray
+) -> np.ndarray:
+    """Return samples interpolated from one clock to another, linearly; exact for equal clocks."""
+    return np.apply_along_axis(lambda row: np.interp(new_times_s, old_times_s, row), -1, samples)
+
+
+def condition_before_motion(
+    record: Record,
+    channels: Mapping[str, Channel],
+    *,
+    displacement: np.ndarray | None = None,
+    load: Mapping[str, np.ndarray] | None = None,
+) -> InitialCondition:
+    """Return displacement and covariates before motion.
+
+    Args:
+        record: on the model's clock and in its units.
+        channels: direction to channel.
+        displacement: given values, shape [] or [M]; None for the mean before any command is effective.
+        load: covariates that are given, by name, likewise; the others are those of the record.
+
+    Raises:
+        InputError: the record lacks a covariate, or given values differ in number.
+    """
+    effective = np.zeros(len(record))
+    for direction, channel in channels.items():
+        if direction in record.directions:
+            effective += np.abs(effective_command(record.command(direction), channel.dead_zone))
+    if displacement is None:
+        displacement = np.asarray(mean_before_motion(record.displacement, effective))
+    given = load or {}
+    names = covariates_of(channels.values())
+    signals = record.require([name for name in names if name not in given]).signals
+    rows = stacked(
+        [given[name] if name in given else mean_before_motion(signals[name], effective) for name in names]
+    )
+    try:
+        runs = np.broadcast_shapes(displacement.shape, rows.shape[:-1])
+    except ValueError as error:
+        count = rows[..., 0].size
+        raise InputError(
+            f"initial and load: expected equal numbers of values, got {displacement.size} and {count}"
+        ) from error
+    return InitialCondition(
+        np.broadcast_to(displacement, runs), np.broadcast_to(rows, (*runs, rows.shape[-1]))
+    )
+
+
+def _same_clock(step_s: float, wanted_s: float, samples: int) -> bool:
+    return abs(step_s - wanted_s) * samples <= MAX_CLOCK_SHIFT * wanted_s
+
+
+# Where a free run is outside the operating range of the identification tests.
+
+
+class OutOfRange(NamedTuple):
+    """One signal outside its range.
+
+    Attributes:
+        sentence: names the signal, its range and the number of samples outside.
+        samples: which samples are outside, of the shape of the free run.
+    """
+
+    sentence: str
+    samples: Bool[np.ndarray, "*m n"]
+
+
+def out_of_range(
+    channels: Sequence[Channel], units: Mapping[str, str], inputs: FreeRunInputs, run: FreeRun
+) -> tuple[OutOfRange, ...]:
+    """Return each signal outside its range while its channel is in charge, and limits that clip the run.
+
+    Args:
+        channels, units: channels and units of the model.
+        inputs: inputs of the free runs.
+        run: the free runs.
+    """
+    displacement, active_channel, _ = run
+    runs = f" of {len(displacement)} runs" if displacement.ndim > 1 else ""
+    of_all = f"of {displacement.size} samples{runs}"
+    found = []
+    for number, channel in enumerate(channels):
+        for name, mask in _masks(channels, number, inputs, displacement).items():
+            samples = mask & (active_channel == number)
+            described = describe_range(channel, units, name)
+            found.append(
+                OutOfRange(
+                    f"{channel.direction}: the {name} is outside the identified range, {described}, "
+                    f"in {samples.sum()} {of_all}",
+                    samples,
+                )
+            )
+    limits = channels[0].limits
+    if limits is not None:
+        samples = limits.at_soft_limit(displacement)
+        sentence = f"{limits.sentence(units[DISPLACEMENT])}; this limit applies in {samples.sum()} {of_all}"
+        found.append(OutOfRange(sentence, samples))
+    return tuple(signal for signal in found if signal.samples.any())
+
+
+def _masks(
+    channels: Sequence[Channel], number: int, inputs: FreeRunInputs, displacement: np.ndarray
+) -> dict[str, Bool[np.ndarray, "*#m n"]]:
+    """Return `command`, `displacement` and `load` to the samples outside the range of a channel."""
+    channel = channels[number]
+    command = inputs.commands[:, DIRECTIONS.index(channel.direction)]
+    signals = {
+        "command": np.abs(effective_command(command, channel.dead_zone)),
+        "displacement": displacement,
+    }
+    outside = {
+        name: np.asarray(getattr(channel.operating_range, name).trust(jnp.asarray(values))) < 1
+        for name, values in signals.items()
+    }
+    load = channel_load(channels, number, jnp.asarray(inputs.initial.load))
+    return {**outside, "load": np.asarray(channel.operating_range.load_trust(load))[..., None] < 1}
+
+
+def describe_range(channel: Channel, units: Mapping[str, str], name: str) -> str:
+    """Return the range of `command`, `displacement` or `load` in the identification tests as text."""
+    signal_range = getattr(channel.operating_range, name)
+    if name == "load":
+        covariates = channel.benchmark.covariates
+        ends = zip(signal_range.lowest.tolist(), signal_range.highest.tolist(), strict=True)
+        ranges = [f"{low:.4g} to {high:.4g}" for low, high in ends]
+        if len(ranges) == 1:
+            return f"{ranges[0]} {units.get(''.join(covariates), '')}"
+        named = zip(covariates, ranges, strict=True)
+        return ", ".join(f"{covariate} {text} {units.get(covariate, '')}" for covariate, text in named)
+    role = {"command": COMMAND[channel.direction], "displacement": DISPLACEMENT}[name]
+    suffix = " beyond the dead zone" if name == "command" else ""
+    ends = f"{float(signal_range.lowest):.4g} to {float(signal_range.highest):.4g}"
+    return f"{ends} {units.get(role, '')}{suffix}"
+
 
 HOLD = "hold"  # `Simulation.mode` while no command demands motion
 
@@ -110,7 +304,7 @@ class Simulation:
         bands = bands_by_channel(all_bands, [channel.direction for channel in dynamics.channels])
         half_width = hitch_half_width(dynamics, bands, self.inputs, self.run, coverage)
         factor = conversion_factor(units[DISPLACEMENT], self.unit, DISPLACEMENT)
-        half_width = factor * conversion.interpolated(half_width, self.model_time_s, self.time_s)
+        half_width = factor * interpolated(half_width, self.model_time_s, self.time_s)
         return Band(self.displacement - half_width, self.displacement + half_width)
 
     def plot(self, axes: "Sequence[Axes] | np.ndarray | None" = None) -> np.ndarray:
@@ -206,9 +400,9 @@ def simulate(
                     f"record '{record.name}' has no '{name}', which the model requires; expected this "
                     f"signal in the record, or `load`, its value before motion, in {model.units[name]}"
                 )
-    model_record = conversion.to_model_units(record, tuple(channels), model.units, model.dynamics.step_s)
+    model_record = to_model_units(record, tuple(channels), model.units, model.dynamics.step_s)
     _check_magnitude(model_record)
-    initial_condition = conversion.initial_condition(
+    initial_condition = condition_before_motion(
         model_record,
         channels,
         displacement=None if initial is None else _checked(initial, "initial"),
@@ -216,7 +410,7 @@ def simulate(
     )
     inputs = FreeRunInputs(commands_of(model_record), initial_condition)
     run = free_run(model.dynamics, inputs)
-    displacement = conversion.to_record_units(run.displacement, model.units, model_record, record)
+    displacement = to_record_units(run.displacement, model.units, model_record, record)
     return Simulation(record.time_s, displacement, record.unit, run, inputs, model_record.time_s, model)
 
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from jaxtyping import Array, Bool, Float, Float32, Int
 
-from hitchid._support.short_repr import short_repr
+from hitchid._support.records import short_repr
 from hitchid.model.load_filter import ErrorEstimate
 from hitchid.networks.error_compensator import FeatureState
 from hitchid.structures import DiscretePhysicalModel, ValveState

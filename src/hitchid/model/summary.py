@@ -4,9 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hitchid._support.sparkline import sparkline
-from hitchid._support.summary import Summary, count
-from hitchid.data.record import COMMAND, DISPLACEMENT
+from hitchid._support.tables import Summary, count, sparkline
+from hitchid.logs.record import COMMAND, DISPLACEMENT
 from hitchid.model.channel import Channel
 from hitchid.model.hitch import Hitch
 from hitchid.model.parameters import definitions

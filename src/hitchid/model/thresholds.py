@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 
-from hitchid.data.record import COMMAND
-from hitchid.data.segmentation import CommandThreshold
-from hitchid.data.units import conversion_factor
+from hitchid.logs.kinds import CommandThreshold
+from hitchid.logs.record import COMMAND
+from hitchid.logs.units import conversion_factor
 from hitchid.model.channel import Channel
 
 

@@ -4,8 +4,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hitchid.model import Estimate
 from hitchid.plots.style import COMPARED
-from hitchid.report import figure_data, figures, numbers, tables
+from hitchid.report import figure_data, figures, numbers
 from hitchid.report.document import (
     Document,
     Finding,
@@ -17,10 +18,103 @@ from hitchid.report.document import (
     Table,
     sentence,
 )
+from hitchid.report.tables import error_header, summary_table
 from hitchid.validation import Horizons, LeaderboardRow, ModelComparison, Standing
-from hitchid.validation.names import GREYBOX, PERSISTENCE
-from hitchid.validation.predictions import MIN_TESTS
-from hitchid.validation.shown_tests import shown_tests
+from hitchid.validation.results import CYCLES, GREYBOX, MIN_TESTS, PERSISTENCE, RUNS, shown_tests
+
+# Tables of models side by side: leaderboard, errors, horizons, parameters.
+
+
+def comparison_models(comparison: ModelComparison) -> Table:
+    """Return the letter and the name of each model."""
+    rows = tuple(
+        (f"model {label}", name) for label, name in zip(comparison.labels, comparison.names, strict=True)
+    )
+    return Table("models", ("model", "name"), rows)
+
+
+def leaderboard_table(comparison: ModelComparison, section: str) -> Table:
+    """Return the models of one section by their error in free run, and their difference from the best."""
+    rows = comparison.leaderboard().section(section)
+    header = (
+        "model",
+        "rank",
+        f"free run: RMSE / {comparison.unit}",
+        "free run: fit / %",
+        f"one step: RMSE / {comparison.unit}",
+        "difference from the best",
+    )
+    cells = tuple(
+        (
+            f"model {row.label}",
+            str(row.rank),
+            numbers.with_error(row.free_run.rmse, row.free_run.rmse_error),
+            numbers.with_error(row.free_run.fit, row.free_run.fit_error),
+            "" if row.one_step is None else numbers.with_error(row.one_step.rmse, row.one_step.rmse_error),
+            _difference(row),
+        )
+        for row in rows
+    )
+    tests = numbers.count(rows[0].tests, "test")
+    return Table(f"{section}: leaderboard over {tests} that no model has used", header, cells)
+
+
+def comparison_accuracy(comparison: ModelComparison, section: str) -> Table:
+    """Return the errors of every model."""
+    rows = tuple(
+        (f"model {label}", run_label, *numbers.error_cells(figures))
+        for run, run_label in reversed(RUNS.items())
+        for label, accuracy in zip(comparison.labels, comparison.accuracy(section), strict=True)
+        if (figures := accuracy.models[GREYBOX].run(run)) is not None
+    )
+    tests = numbers.count(len(comparison.accuracy(section)[0].tests), "test")
+    title = f"{section}: accuracy on {tests} that no model has used"
+    return Table(title, error_header(comparison.unit, "model", "run"), rows)
+
+
+def comparison_horizons(comparison: ModelComparison, section: str) -> Table:
+    """Return the RMSE of every model over each horizon."""
+    all_horizons = [accuracy.horizons for accuracy in comparison.accuracy(section)]
+    rows = tuple(
+        (f"model {label}", *map(numbers.digits, horizons.rmse[GREYBOX]))
+        for label, horizons in zip(comparison.labels, all_horizons, strict=True)
+    )
+    title = f"{section}: RMSE / {comparison.unit} over the horizon in samples"
+    return Table(title, ("model", *map(str, all_horizons[0].steps)), rows)
+
+
+def comparison_parameters(comparison: ModelComparison) -> list[Table]:
+    """Return the parameters of every model, for directions with estimates."""
+    all_tables = []
+    for direction in (name for name in comparison.sections if name != CYCLES):
+        all_estimates = [
+            {estimate.name: estimate for estimate in parameters.parameters} if parameters else {}
+            for parameters in (validation.channels[direction].parameters for validation in comparison)
+        ]
+        names = dict.fromkeys(name for estimates in all_estimates for name in estimates)
+        rows = [
+            (name.replace("_", " "), *(_cell(estimates.get(name)) for estimates in all_estimates))
+            for name in names
+        ]
+        if rows:
+            header = ("parameter", *(f"model {label}" for label in comparison.labels))
+            all_tables.append(Table(f"{direction}: parameters", header, tuple(rows)))
+    return all_tables
+
+
+def _difference(row: LeaderboardRow) -> str:
+    if row.tested is None:
+        return row.standing.value
+    return f"{row.standing.value}, {numbers.p_value(row.tested)}"
+
+
+def _cell(estimate: Estimate | None) -> str:
+    """Return a parameter as `K = 39.4 ± 0.6 mm/(s·A)`, or the verdict on one that is not determined."""
+    if estimate is None:
+        return "not in the model"
+    if not estimate.determined:
+        return estimate.verdict
+    return f"{estimate.symbol} = {numbers.with_unit(numbers.estimate(estimate), estimate.unit)}"
 
 
 def comparison_report(comparison: ModelComparison, *, command: str = "") -> Document:
@@ -30,7 +124,7 @@ def comparison_report(comparison: ModelComparison, *, command: str = "") -> Docu
         comparison: models on tests that none of their identifications used.
         command: the command line that wrote the report.
     """
-    parameters = tables.comparison_parameters(comparison)
+    parameters = comparison_parameters(comparison)
     models = zip(comparison.labels, comparison.names, strict=True)
     return Document(
         title=f"Comparison of {numbers.count(len(comparison), 'model')}",
@@ -51,14 +145,14 @@ def comparison_report(comparison: ModelComparison, *, command: str = "") -> Docu
 
 def comparison_tables(comparison: ModelComparison) -> Document:
     """Return every table of a comparison, the content of `tables.md`."""
-    table_list = [tables.comparison_models(comparison)]
+    table_list = [comparison_models(comparison)]
     for section in comparison.sections:
         table_list += [
-            tables.leaderboard_table(comparison, section),
-            tables.comparison_accuracy(comparison, section),
-            tables.comparison_horizons(comparison, section),
+            leaderboard_table(comparison, section),
+            comparison_accuracy(comparison, section),
+            comparison_horizons(comparison, section),
         ]
-    table_list += tables.comparison_parameters(comparison)
+    table_list += comparison_parameters(comparison)
     verdicts = (f"{section}: {verdict_text(comparison, section)}" for section in comparison.sections)
     return Document(
         title="Comparison",
@@ -131,14 +225,14 @@ def _finding(comparison: ModelComparison, section: str) -> Finding:
 def _summary(comparison: ModelComparison, section: str) -> Table:
     accuracies = zip(comparison.labels, comparison.accuracy(section), strict=True)
     models = [(f"model {label}", accuracy.models[GREYBOX]) for label, accuracy in accuracies]
-    return tables.summary_table(section, models, comparison.unit)
+    return summary_table(section, models, comparison.unit)
 
 
 def _section(comparison: ModelComparison, section: str) -> ReportSection:
     blocks = (
-        tables.leaderboard_table(comparison, section),
-        tables.comparison_accuracy(comparison, section),
-        tables.comparison_horizons(comparison, section),
+        leaderboard_table(comparison, section),
+        comparison_accuracy(comparison, section),
+        comparison_horizons(comparison, section),
         Pictures(tuple(_pictures(comparison, section))),
     )
     return ReportSection(section.capitalize(), blocks)

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from hitchid._support.data_table import DataTable
-from hitchid._support.short_repr import short_repr
+from hitchid._support.records import short_repr
+from hitchid._support.tables import DataTable
 from hitchid.report.svg import svg
 from hitchid.validation import Check, Predictions
 

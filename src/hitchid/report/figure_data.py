@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hitchid.data.record import COMMAND, DISPLACEMENT, Record
-from hitchid.data.segmentation import Segment
+from hitchid.logs.kinds import Segment
+from hitchid.logs.record import COMMAND, DISPLACEMENT, Record
 from hitchid.model import Characteristics, Estimate, LoadScatter, SearchSummary
-from hitchid.report.trace_file import TracedCandidate, TracedSearch, TracedTraining
+from hitchid.model.trace import TracedCandidate, TracedSearch, TracedTraining
 from hitchid.validation import BandFigures, Horizons, Predictions
-from hitchid.validation.predictions import concatenate_tests
 from hitchid.validation.residuals import ResidualTests
+from hitchid.validation.results import concatenate_tests
 from hitchid.validation.valve_map import ValveMap
 
 Columns = Mapping[str, Sequence | np.ndarray]

@@ -2,23 +2,198 @@
 
 from collections.abc import Callable, Mapping, Sequence
 
-from hitchid.data.record import DISPLACEMENT
+from hitchid.logs.record import DISPLACEMENT
 from hitchid.model import Provenance
-from hitchid.report import numbers, sections, tables
-from hitchid.report.document import Document, ReportSection, Signals, Table, sentence
-from hitchid.report.sections import DirectionContext
-from hitchid.report.trace_file import ChannelTraceFile
-from hitchid.validation import CYCLES, Acceptance, ReportData, Validation
-from hitchid.validation.names import in_table_order, model_name
+from hitchid.model.trace import ChannelTraceFile
+from hitchid.report import figure_data, figures, numbers
+from hitchid.report.context import DirectionContext
+from hitchid.report.document import (
+    Block,
+    Document,
+    Picture,
+    Pictures,
+    ReportSection,
+    Signals,
+    Table,
+    sentence,
+)
+from hitchid.report.figures.errors import MAX_SAMPLES
+from hitchid.report.origin import logs_section, origin_section, search_section
+from hitchid.report.overview import overview_section, simulated_models
+from hitchid.report.parameters_section import parameters_section
+from hitchid.report.tables import (
+    accuracy_table,
+    band_table,
+    characteristic_tables,
+    cycle_tables,
+    horizon_table,
+    load_table,
+    parameter_table,
+    residual_table,
+    search_table,
+    single_test_table,
+    summary_table,
+)
+from hitchid.report.verdict import limits_section, uses_section, verdict_section
+from hitchid.validation import CYCLES, Acceptance, Accuracy, ReportData, Validation
+from hitchid.validation.results import BENCHMARK, FREE_RUN, LABELS, in_table_order, model_name, shown_tests
+
+# Errors of one direction: every model, over horizons, by test, distribution.
+
+COMPARED_MODELS = ("lstm", "narx", "oe", "arx", "transfer_function", BENCHMARK, FREE_RUN)
+
+
+def accuracy_section(context: DirectionContext) -> ReportSection:
+    """Return the section on the errors of the model and of every baseline."""
+    result, unit, tests = context.accuracy, context.unit, context.accuracy.predictions
+    unlabelled = [name for name in tests.models if name not in LABELS]
+    models = [*unlabelled, *(name for name in COMPARED_MODELS if name in tests.models)]
+    pictures = (
+        Picture(
+            context.figure_name("horizons"),
+            figures.horizons(result.horizons, context.step_s, unit),
+            "Error over the prediction horizon. A useful model is below persistence.",
+            f"RMSE in {unit} over the horizon for each model, from one sample on.",
+            data=figure_data.horizons(result.horizons, context.step_s, unit),
+        ),
+        Picture(
+            context.figure_name("tests"),
+            figures.errors_by_test(tests, unit, models),
+            "RMSE of each unseen test in free run; the bar is the RMSE over all tests.",
+            f"RMSE of each of {len(tests.names)} tests in free run, for {len(models)} models.",
+            data=figure_data.errors_by_test(tests, unit, models),
+        ),
+    )
+    tables = (accuracy_table(context.direction, result, unit), horizon_table(context.direction, result, unit))
+    return ReportSection("Accuracy", (*tables, Pictures(pictures)))
+
+
+def errors_section(context: DirectionContext) -> ReportSection:
+    """Return the section on the distribution of the errors, and on single tests."""
+    tests, unit = context.accuracy.predictions, context.unit
+    models = simulated_models(tests)
+    model_errors = {name: tests.errors(name) for name in reversed(models)}
+    pictures = [
+        Picture(
+            context.figure_name("distribution"),
+            figures.error_distribution(model_errors, unit),
+            "Errors on all unseen tests: histogram with fitted normal, and the share of samples below a "
+            "limit. The axes end where 99.5 % of the samples lie.",
+            f"Histogram and cumulative distribution of errors in {unit}.",
+            data=figure_data.errors(model_errors, unit),
+        ),
+    ]
+    if context.data.channel.compensator is not None:
+        pictures.append(
+            Picture(
+                context.figure_name("predicted-errors"),
+                figures.predicted_errors({"test": tests}, unit),
+                "Error of the physics model, and the LSTM correction's prediction of it one step ahead.",
+                f"Error of the physics model in {unit} over the samples, actual and predicted.",
+                data=figure_data.predicted_errors({"test": tests}, unit, MAX_SAMPLES),
+            )
+        )
+    table = single_test_table(context.direction, context.accuracy, unit)
+    return ReportSection("Errors", (Pictures(tuple(pictures)), table))
+
+
+# Section on mixed cycles of lifting, holding and lowering.
+
+MODELS = ("benchmark", "free_run")
+
+
+def cycles_section(accuracy: Accuracy, step_s: float, unit: str) -> ReportSection:
+    """Return the section on mixed cycles.
+
+    Args:
+        accuracy: on the unseen cycles.
+        step_s: sampling time, s.
+        unit: of the displacement.
+    """
+    tests = accuracy.predictions
+    selected_tests, selection_text = shown_tests(tests)
+    names = ", ".join(selected_tests.names)
+    model_errors = {name: tests.errors(name) for name in reversed(MODELS)}
+    first_table, *others = cycle_tables(accuracy, unit)
+    pictures = (
+        Picture(
+            "cycles-outputs",
+            figures.outputs(selected_tests, unit, MODELS),
+            f"Measured and predicted displacement, and errors: {selection_text.replace('test', 'cycle')} "
+            f"({names}).",
+            f"Displacement and error over time of {names}, free run.",
+            data=figure_data.outputs(selected_tests, unit, MODELS),
+        ),
+        Picture(
+            "cycles-distribution",
+            figures.error_distribution(model_errors, unit),
+            "Errors on all unseen cycles in free run.",
+            f"Histogram and cumulative distribution of errors in {unit}.",
+            data=figure_data.errors(model_errors, unit),
+        ),
+        Picture(
+            "cycles-horizons",
+            figures.horizons(accuracy.horizons, step_s, unit),
+            "Error over the prediction horizon, including changes of direction.",
+            f"RMSE in {unit} over the horizon.",
+            data=figure_data.horizons(accuracy.horizons, step_s, unit),
+        ),
+    )
+    return ReportSection("Mixed cycles", (first_table, Pictures(pictures), *others))
+
+
+# Section on prediction bands and residual tests of one direction.
+
+
+def trust_section(context: DirectionContext) -> ReportSection:
+    """Return the section on bands and on tests of the errors."""
+    result, unit = context.result, context.unit
+    blocks: list[Block] = []
+    pictures = []
+    bands = context.accuracy.bands
+    if bands is not None:
+        blocks.append(band_table(context.direction, bands, unit))
+        pictures.append(
+            Picture(
+                context.figure_name("coverage"),
+                figures.coverage(bands, context.step_s),
+                "Share of unseen samples inside the bands, and their nominal coverage.",
+                "Coverage of the bands in percent over the horizon.",
+                data=figure_data.coverage(bands, context.step_s),
+            )
+        )
+    free_run = result.residuals[FREE_RUN]
+    if free_run is not None:
+        blocks.append(residual_table(context.direction, result.residuals, unit))
+        pictures += [
+            Picture(
+                context.figure_name("correlations"),
+                figures.residual_correlations(free_run),
+                "Free run: autocorrelation of the errors and correlation with the command. Values outside "
+                "the bounds are errors that a better model could explain.",
+                "Autocorrelation of the errors and their correlation with the command, with 99 % bounds.",
+                data=figure_data.residual_correlations(free_run),
+            ),
+            Picture(
+                context.figure_name("places"),
+                figures.residuals_by_variable(free_run, unit, context.data.command_unit),
+                "Free run: mean error (bar) and its spread (line) by displacement, speed and command beyond "
+                "the dead zone. A bar away from zero is a systematic error.",
+                f"Mean and spread of the errors in {unit} by displacement, speed and command.",
+                data=figure_data.residuals_by_variable(free_run, unit, context.data.command_unit),
+            ),
+        ]
+    return ReportSection("Trust", (*blocks, *([Pictures(tuple(pictures))] if pictures else [])))
+
 
 SectionBuilder = Callable[[DirectionContext], ReportSection]
 DIRECTION_SECTIONS: tuple[SectionBuilder, ...] = (
-    sections.overview,
-    sections.parameters,
-    sections.accuracy,
-    sections.errors,
-    sections.trust,
-    sections.search,
+    overview_section,
+    parameters_section,
+    accuracy_section,
+    errors_section,
+    trust_section,
+    search_section,
 )
 
 
@@ -43,14 +218,14 @@ def validation_report(
     return Document(
         title=_title(result.model.provenance),
         subtitle=f"{', '.join(counts)}; {DISPLACEMENT} in {result.unit}",
-        uses=sections.uses(result),
-        verdict=sections.verdict(result, acceptance),
+        uses=uses_section(result),
+        verdict=verdict_section(result, acceptance),
         notices=tuple(map(sentence, result.notices)),
         sections=(
-            *([] if acceptance is None else [sections.limits(acceptance)]),
+            *([] if acceptance is None else [limits_section(acceptance)]),
             *direction_sections(result, data, trace or {}, DIRECTION_SECTIONS),
-            sections.logs(data.logs),
-            sections.origin(data.origin, command),
+            logs_section(data.logs),
+            origin_section(data.origin, command),
         ),
         summary=tuple(_summary(result)),
         checks=() if acceptance is None else acceptance.checks,
@@ -81,7 +256,7 @@ def direction_sections(
         below = tuple(section for section in (build(context) for build in builders) if section.blocks)
         result_sections.append(ReportSection(direction.capitalize(), sections=below))
     if result.cycles is not None:
-        result_sections.append(sections.cycles(result.cycles.accuracy, step_s, unit))
+        result_sections.append(cycles_section(result.cycles.accuracy, step_s, unit))
     return result_sections
 
 
@@ -103,35 +278,31 @@ def all_tables(result: Validation) -> list[Table]:
     for direction, channel in result.channels.items():
         accuracy = channel.accuracy
         table_list += [
-            tables.accuracy_table(direction, accuracy, unit),
-            tables.horizon_table(direction, accuracy, unit),
-            tables.single_test_table(direction, accuracy, unit),
+            accuracy_table(direction, accuracy, unit),
+            horizon_table(direction, accuracy, unit),
+            single_test_table(direction, accuracy, unit),
         ]
         if channel.parameters is not None:
             title = f"{direction}: parameters of the physics model"
-            table_list.append(tables.parameter_table(title, channel.parameters))
+            table_list.append(parameter_table(title, channel.parameters))
         if channel.characteristics is not None:
-            table_list += tables.characteristic_tables(direction, channel.characteristics)
+            table_list += characteristic_tables(direction, channel.characteristics)
         if channel.load_scatter is not None:
-            table_list.append(tables.load_table(direction, channel.load_scatter))
+            table_list.append(load_table(direction, channel.load_scatter))
         if channel.paper_parameters is not None:
             title = f"{direction}: parameters of the paper's transfer function"
-            table_list.append(tables.parameter_table(title, channel.paper_parameters))
+            table_list.append(parameter_table(title, channel.paper_parameters))
         if accuracy.bands is not None:
-            table_list.append(tables.band_table(direction, accuracy.bands, unit))
-        table_list.append(tables.residual_table(direction, channel.residuals, unit))
+            table_list.append(band_table(direction, accuracy.bands, unit))
+        table_list.append(residual_table(direction, channel.residuals, unit))
         if channel.searches:
-            table_list.append(tables.search_table(direction, channel.searches, unit))
-    return (
-        table_list
-        if result.cycles is None
-        else table_list + tables.cycle_tables(result.cycles.accuracy, unit)
-    )
+            table_list.append(search_table(direction, channel.searches, unit))
+    return table_list if result.cycles is None else table_list + cycle_tables(result.cycles.accuracy, unit)
 
 
 def _summary(result: Validation) -> list[Table]:
     return [
-        tables.summary_table(
+        summary_table(
             direction,
             [(model_name(name), accuracy.models[name]) for name in in_table_order(accuracy.models)],
             result.unit,

@@ -8,23 +8,21 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hitchid.errors import InputError
-from hitchid.structures.physical_model import PhysicalModel
-from hitchid.structures.scheduling import (
-    CovariateEffects,
-    Scheduling,
-    effect_parameters,
-    scheduled_quantities,
-)
-from hitchid.structures.static_nonlinearity import (
+from hitchid.structures.nonlinearity import (
     NEUTRAL,
     NONLINEARITY_PARAMETERS,
     SPOOL_DYNAMICS,
     STROKE_GAIN_LINEAR,
     STROKE_GAIN_QUADRATIC,
     VALVE_CURVE,
+    CovariateEffects,
     Scales,
+    Scheduling,
     StaticNonlinearity,
+    effect_parameters,
+    scheduled_quantities,
 )
+from hitchid.structures.physical_model import PhysicalModel
 from hitchid.structures.structure import DEAD_TIME, ModelOption, Parameter, Structure
 
 

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hitchid._support.precision import double_precision
-from hitchid._support.short_repr import short_repr
+from hitchid._support.jax_setup import double_precision
+from hitchid._support.records import short_repr
 from hitchid.structures.batch import Batch
 from hitchid.structures.discretisation import (
     DiscreteStateSpace,
@@ -19,9 +19,15 @@ from hitchid.structures.discretisation import (
     discretise_along_stroke,
     simulate_linear,
 )
-from hitchid.structures.nonlinear import NonlinearStructure, simulate_nonlinear
-from hitchid.structures.scheduling import OPENING, Scheduling, effect_parameters
-from hitchid.structures.static_nonlinearity import NONLINEARITY_PARAMETERS, PlayState, StaticNonlinearity
+from hitchid.structures.nonlinear_structures import NonlinearStructure, simulate_nonlinear
+from hitchid.structures.nonlinearity import (
+    NONLINEARITY_PARAMETERS,
+    OPENING,
+    PlayState,
+    Scheduling,
+    StaticNonlinearity,
+    effect_parameters,
+)
 from hitchid.structures.structure import DEAD_TIME, LinearStructure, Parameter, Structure
 
 

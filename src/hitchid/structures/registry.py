@@ -4,14 +4,15 @@ from collections.abc import Mapping
 
 from hitchid._support.extensions import with_extensions
 from hitchid.errors import InputError
-from hitchid.structures.cascaded_tanks import CascadedTanks
-from hitchid.structures.first_order_lag import FirstOrderLag
-from hitchid.structures.inertia_with_friction import InertiaWithFriction
-from hitchid.structures.integrator import Integrator
-from hitchid.structures.integrator_first_order import IntegratorFirstOrder
-from hitchid.structures.integrator_second_order import IntegratorSecondOrder
-from hitchid.structures.integrator_second_order_friction import IntegratorSecondOrderFriction
-from hitchid.structures.integrator_second_order_stroke import IntegratorSecondOrderStroke
+from hitchid.structures.linear_structures import (
+    FirstOrderLag,
+    Integrator,
+    IntegratorFirstOrder,
+    IntegratorSecondOrder,
+    IntegratorSecondOrderFriction,
+    IntegratorSecondOrderStroke,
+)
+from hitchid.structures.nonlinear_structures import CascadedTanks, InertiaWithFriction
 from hitchid.structures.structure import Structure
 
 BUILT_IN = (

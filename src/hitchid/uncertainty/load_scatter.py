@@ -9,11 +9,10 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import minimize, minimize_scalar, root_scalar
 from scipy.stats import chi2, t
 
-from hitchid._support.short_repr import short_repr
+from hitchid._support.records import short_repr
 from hitchid.errors import FitError
 from hitchid.estimation import Objective
-from hitchid.model.estimates import Interval
-from hitchid.model.load_scatter import STANDSTILL, LoadOfTest, LoadScatter
+from hitchid.model.estimates import STANDSTILL, Interval, LoadOfTest, LoadScatter
 
 LEVEL = 0.95  # of the intervals
 FEWEST_CONTRASTS = 2  # differences between tests; of fewer a scatter has no interval

@@ -1,13 +1,93 @@
 """Uncertainty of one parameter while it is assessed."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import pi
 
 import numpy as np
+from jaxtyping import Float
 
 from hitchid.estimation import Objective
 from hitchid.model.estimates import MAX_INTERVAL_RATIO, Interval
 from hitchid.structures import Parameter
 from hitchid.uncertainty.profile import Profile
+from hitchid.uncertainty.scores import Scores
+
+# Verdict on a parameter: determined or not, its interval, and the excitation that would determine it.
+
+
+def verdict(
+    parameter: Parameter,
+    unit: str,
+    interval: Interval,
+    *,
+    determined: bool,
+    bound: str,
+    conditional_on: Sequence[str] = (),
+    fallback_quantity: str,
+    step_s: float,
+    stands_for: str = "",
+) -> str:
+    """Return as text whether tests determine a parameter, its interval, and the excitation required.
+
+    Args:
+        parameter: of the structure.
+        unit: in the log's units.
+        interval: 95 % interval, None for an open end.
+        determined: whether the interval is closed and narrow.
+        bound: `lower` or `upper` where the estimate lies at one, else empty.
+        conditional_on: symbols of the parameters at a bound for which alone the interval holds.
+        fallback_quantity: the combination that is determined instead; empty where none is.
+        step_s: sampling time of the tests, s.
+        stands_for: what the value is in this form, where that is more than the parameter.
+    """
+    if determined:
+        return f"determined as {stands_for}" if stands_for else "determined"
+    if conditional_on:
+        return f"determined only for {' and '.join(conditional_on)} at its bound"
+    phrases = [_range_text(parameter, unit, interval)]
+    hint = _excitation_hint(parameter, interval, step_s)
+    if hint and not fallback_quantity:
+        phrases.append(hint)
+    text = "; ".join(phrase for phrase in phrases if phrase)
+    if fallback_quantity:
+        return f"only {fallback_quantity} is determined: {text}"
+    if bound and interval != (None, None):
+        return f"at its {bound} bound: {text}"
+    return f"not determined: {text}"
+
+
+def _range_text(parameter: Parameter, unit: str, interval: Interval) -> str:
+    name = parameter.symbol or parameter.name.replace("_", " ")
+    unit_suffix = "" if unit == "1" else f" {unit}"
+    lower, upper = interval
+    if lower is not None and upper is not None:
+        return f"{name} from {lower:.3g} to {upper:.3g}{unit_suffix} at 95 %"
+    if lower is not None:
+        return f"{name} > {lower:.3g}{unit_suffix} at 95 %"
+    if upper is not None:
+        return f"{name} < {upper:.3g}{unit_suffix} at 95 %"
+    return f"all values of {name} between the bounds fit equally well"
+
+
+def _excitation_hint(parameter: Parameter, interval: Interval, step_s: float) -> str:
+    """Return the excitation that would determine a parameter; its corner frequency for times, frequencies."""
+    lower, upper = interval
+    nyquist_rad_s = pi / step_s
+    frequency_too_high = parameter.unit == "rad/s" and lower is not None and lower > nyquist_rad_s
+    time_too_short = parameter.unit == "s" and upper is not None and upper < 1 / nyquist_rad_s
+    if frequency_too_high or time_too_short:
+        return f"faster than can be identified at a sampling time of {step_s:.3g} s"
+    if parameter.unit == "rad/s" and lower is not None and upper is None:
+        return f"excite above {lower / (2 * pi):.2g} Hz"
+    if parameter.unit == "rad/s" and upper is not None and lower is None:
+        return f"excite below {upper / (2 * pi):.2g} Hz"
+    if parameter.unit == "s" and upper is not None and lower is None:
+        return f"excite above {1 / (2 * pi * upper):.2g} Hz"
+    if parameter.unit == "s" and lower is not None and upper is None:
+        return f"excite below {1 / (2 * pi * lower):.2g} Hz"
+    return parameter.excitation_hint
+
 
 AT_BOUND = 1e-3  # distance from a bound, in the unit cube, below which an estimate lies at it; chosen
 MAX_LINEAR_SHARE = 0.5  # width of a determined interval over the search range, linear parameters; chosen
@@ -88,3 +168,92 @@ class ParameterResult:
     def determined(self) -> bool:
         """Whether the interval is closed and narrow, the estimate not at a bound nor conditional on one."""
         return not self.bound and not self.conditional_on and self.is_narrow(self.interval)
+
+
+# Intervals of parameters that depend on another parameter at a bound of its search.
+
+MAX_STEP = 0.1  # longest step beyond a bound, in the unit cube, to which derivatives there apply; chosen
+
+
+def over_parameters_at_bound(
+    results: Sequence[ParameterResult], objective: Objective, position: Float[np.ndarray, " d"]
+) -> list[ParameterResult]:
+    """Return the parameters with intervals that do not depend on another one being held at its bound.
+
+    Standard errors are computed with a parameter at a bound held there. The interval of each other one is
+    widened, so that it contains
+
+    1. its ends moved by as much as the estimate moves along the profile of the held parameter, over all
+       values that the tests do not reject, and
+    2. the estimate that least squares would take without the bound, to first order.
+
+    A parameter whose interval is then no longer narrow is determined only for the other one at its bound.
+
+    Args:
+        results: all parameters with their intervals.
+        objective: identification tests and model specification.
+        position: the estimate in the unit cube, shape [D].
+    """
+    held = [result for result in results if result.bound and result.profile is not None]
+    if not held:
+        return list(results)
+    free = np.array([not (result.bound or result.insensitive) for result in results])
+    scores = Scores.of(objective, position)
+    steps = [_step_without_bound(other, objective, scores, free) for other in held]
+    updated = []
+    for result in results:
+        if not result.bound and result.is_narrow(result.interval):
+            for other, step in zip(held, steps, strict=True):
+                result = over_values_of(other, result, float(step[result.number]))
+        updated.append(result)
+    return updated
+
+
+def over_values_of(other: ParameterResult, result: ParameterResult, step: float) -> ParameterResult:
+    """Return a parameter with its interval over the values of one at its bound, or conditional on it."""
+    curve, (lower, upper) = other.profile, result.interval
+    if curve is None or lower is None or upper is None:
+        return result
+    coordinates = curve.positions[:, result.number]
+    at_bound = 0 if other.bound == "lower" else -1
+    shifts = np.append(coordinates[curve.allowed] - coordinates[at_bound], 0.0)
+    unbounded = coordinates[at_bound] + step
+    ends = (
+        min(result.to_coordinate(lower) + shifts.min(), unbounded),
+        max(result.to_coordinate(upper) + shifts.max(), unbounded),
+    )
+    wider = result.to_interval(*map(float, ends))
+    if result.is_narrow(wider):
+        return replace(result, interval=wider)
+    return replace(result, conditional_on=(*result.conditional_on, other.symbol))
+
+
+def _step_without_bound(
+    other: ParameterResult, objective: Objective, scores: Scores, free: np.ndarray
+) -> Float[np.ndarray, " d"]:
+    """Return the change of all parameters to first order if the bound of one were removed, shape [D].
+
+    One Gauss-Newton step along its profile, away from the search range: no longer than a tenth of it, and no
+    farther than to a value of zero. A bound from the settings is prior knowledge and is not removed.
+    """
+    step = np.zeros(free.size)
+    if other.parameter.name in objective.spec.bounds:
+        return step
+    selected = free.copy()
+    selected[other.number] = True
+    columns = np.flatnonzero(selected)
+    subset = scores.select_parameters(selected)
+    tangent = subset.profile_tangent(int(np.searchsorted(columns, other.number)))
+    curvature = float(tangent @ subset.curvature @ tangent)
+    if not curvature > 0:
+        return step
+    change = -float(subset.slopes.sum(axis=0) @ tangent) / curvature
+    width = other.upper - other.lower if other.linear else float(np.log(other.upper / other.lower))
+    to_zero = (other.lower if other.linear else 1.0) / width if other.lower >= 0 else MAX_STEP
+    outward = (
+        np.clip(change, -min(MAX_STEP, to_zero), 0.0)
+        if other.bound == "lower"
+        else np.clip(change, 0.0, MAX_STEP)
+    )
+    step[columns] = outward * tangent
+    return step

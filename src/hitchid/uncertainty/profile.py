@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchid.estimation import Objective, refine_subset
-from hitchid.uncertainty.dead_zone_error import NO_ERROR, DeadZoneError, t_quantile, welch_satterthwaite
-from hitchid.uncertainty.scores import Scores
+from hitchid.uncertainty.scores import NO_ERROR, DeadZoneError, Scores, t_quantile, welch_satterthwaite
 
 FIRST_STEP = 0.02  # first step from the estimate, in the unit cube, doubled every time; all values chosen
 BISECTION_STEPS = 4  # of an end of the interval

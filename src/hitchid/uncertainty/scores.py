@@ -1,12 +1,63 @@
 """Scores: gradients and Gauss-Newton matrices of the squared errors, one row per test."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import fdtrc, stdtrit
 
 from hitchid.estimation import Objective
 from hitchid.estimation.objective import TestEquations
+from hitchid.model.provenance import DifferenceTest
+
+# Standard error of the dead zone, which is identified before the parameters, and its degrees of freedom.
+
+CONFIDENCE = 0.95  # level of every interval
+
+
+class DeadZoneError(NamedTuple):
+    """Standard error of the dead zone.
+
+    Attributes:
+        standard_error: in the command's unit; 0 for a dead zone that was given.
+        tests: number of ramps or tests it was identified from.
+    """
+
+    standard_error: float = 0.0
+    tests: int = 0
+
+    def shifted_by_one_sigma(self, objective: Objective) -> Objective:
+        """Return the objective with the dead zone one standard error larger."""
+        return objective.with_data(
+            objective.batch.with_dead_zones(objective.batch.dead_zone + self.standard_error)
+        )
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Degrees of freedom of the standard error."""
+        return max(self.tests - 1, 1)
+
+
+NO_ERROR = DeadZoneError()
+
+
+def welch_satterthwaite(variances: np.ndarray, degrees: np.ndarray) -> np.ndarray:
+    """Return the degrees of freedom of sums of variances, (Σ v)²/Σ v²/ν (Welch 1947, Biometrika 34, 28).
+
+    Args:
+        variances: shape [V, ...].
+        degrees: degrees of freedom of each, broadcastable to that shape.
+    """
+    denominator = np.sum(variances**2 / degrees, axis=0)
+    degrees = np.sum(variances, axis=0) ** 2 / np.maximum(denominator, np.finfo(float).tiny)
+    return np.asarray(np.maximum(degrees, 1.0))
+
+
+def t_quantile(degrees: float) -> float:
+    """Return the two-sided 95 % quantile of Student's t."""
+    return float(stdtrit(degrees, 0.5 + CONFIDENCE / 2))
+
 
 MIN_SURPLUS_TESTS = 4  # tests beyond the number of parameters; with fewer, tests are cut in segments; chosen
 MIN_EIGENVALUE = 0.05  # smallest eigenvalue of I − leverage, which limits the correction; chosen
@@ -119,3 +170,51 @@ def _inverse_square_root(matrix: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eig(matrix)
     roots = 1 / np.sqrt(np.clip(np.real(values), MIN_EIGENVALUE, 1.0))
     return np.real((vectors * roots) @ np.linalg.pinv(vectors))
+
+
+# Test whether two independent groups of tests have the same parameters.
+
+MIN_RELATIVE_VARIANCE = 1e-14  # smallest eigenvalue of C over its largest: below it C is singular to rounding
+MIN_DENOMINATOR_DEGREES = 1.0  # fewest degrees of freedom of the denominator of F; chosen
+
+
+def difference_test(
+    difference: Float[np.ndarray, " p"], one: Scores, other: Scores, names: Sequence[str]
+) -> DifferenceTest | None:
+    """Test the difference of the estimates of two groups of tests by Hotelling's statistic.
+
+    W = dᵀ C⁻¹ d with C = C₁ + C₂, the cluster-robust covariances of the two groups (`Scores.influence`):
+    tests are independent, the samples of one test need not be. (ν − p + 1)/(ν p) W is compared with F at p
+    and ν − p + 1 degrees of freedom. The covariances differ, so that (Krishnamoorthy & Yu 2004, Statist.
+    Probab. Lett. 66, 161)
+
+        ν = (p + p²) / Σᵢ (tr((Cᵢ C⁻¹)²) + (tr(Cᵢ C⁻¹))²)/νᵢ
+
+    with νᵢ the mean of the degrees of freedom of group i over the p uncorrelated combinations C^(−½) d.
+
+    Args:
+        difference: of the estimates d, in the unit cube.
+        one, other: scores of the two groups at their estimates, over the parameters compared.
+        names: of these parameters.
+
+    Returns:
+        The test; None where the degrees of freedom do not suffice, and where C is singular.
+    """
+    parameters = difference.size
+    covariances = [influence.T @ influence for influence in (one.influence(), other.influence())]
+    variances, vectors = np.linalg.eigh(sum(covariances))
+    if not variances[0] > MIN_RELATIVE_VARIANCE * variances[-1]:
+        return None
+    whitening = vectors / np.sqrt(variances)
+    shares = [whitening.T @ covariance @ whitening for covariance in covariances]
+    group_degrees = [float(scores.degrees_of_freedom(whitening).mean()) for scores in (one, other)]
+    degrees = (parameters + parameters**2) / sum(
+        (float(np.sum(share**2)) + float(np.trace(share)) ** 2) / group
+        for share, group in zip(shares, group_degrees, strict=True)
+    )
+    denominator = degrees - parameters + 1
+    if denominator < MIN_DENOMINATOR_DEGREES:
+        return None
+    statistic = denominator / (degrees * parameters) * float(np.sum((difference @ whitening) ** 2))
+    p_value = float(fdtrc(parameters, denominator, statistic))
+    return DifferenceTest(statistic, tuple(names), denominator, p_value)

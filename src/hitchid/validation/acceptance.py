@@ -8,13 +8,12 @@ from itertools import count
 from math import inf, isfinite
 from typing import NamedTuple, TypeGuard
 
-from hitchid._support.data_table import DataTable, csv_files
-from hitchid._support.short_repr import short_repr
-from hitchid.data.units import UNITS
-from hitchid.validation.bands import COVERAGE
+from hitchid._support.records import short_repr
+from hitchid._support.tables import DataTable, csv_files
+from hitchid.logs.units import UNITS
+from hitchid.validation.channels import COVERAGE
 from hitchid.validation.limits import AcceptanceLimits, DirectionLimits, FigureLimits
-from hitchid.validation.names import GREYBOX, RUNS
-from hitchid.validation.results import Accuracy, ModelFigures, RunFigures
+from hitchid.validation.results import GREYBOX, RUNS, Accuracy, ModelFigures, RunFigures
 
 NO_TEST = "missing: no unseen test"
 

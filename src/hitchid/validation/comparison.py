@@ -10,20 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hitchid._support import checks
-from hitchid._support.data_table import DataTable, csv_files, stacked
+from hitchid._support.files import canonical_json
 from hitchid._support.progress import ProgressCallback, silent, subtask_progress
-from hitchid._support.storage import canonical_json
-from hitchid._support.summary import Summarised, Summary
-from hitchid._support.values import Value
-from hitchid.data.campaign import Campaign
+from hitchid._support.records import Value
+from hitchid._support.tables import DataTable, Summarised, Summary, csv_files, stacked
 from hitchid.errors import InputError
+from hitchid.logs.campaign import Campaign
 from hitchid.model import Hitch
 from hitchid.validation.leaderboard import Leaderboard, LeaderboardRow, Standing, section_rows
-from hitchid.validation.names import FREE_RUN
-from hitchid.validation.predictions import Predictions
-from hitchid.validation.results import Accuracy
-from hitchid.validation.usable import with_covariates
-from hitchid.validation.validate import validate
+from hitchid.validation.results import FREE_RUN, Accuracy, Predictions
+from hitchid.validation.validate import validate, with_covariates
 from hitchid.validation.validation import TABLES_FILE, Validation
 
 if TYPE_CHECKING:
@@ -196,7 +192,7 @@ class ModelComparison(Value, Summarised):
         Args:
             command: the command line that wrote the report.
         """
-        from hitchid.report import comparison_report
+        from hitchid.report.comparison_report import comparison_report
 
         return comparison_report(self, command=command)
 

@@ -6,18 +6,21 @@ from dataclasses import replace
 import numpy as np
 
 from hitchid._support.metrics import HORIZONS
-from hitchid.data.record import Record
+from hitchid.logs.record import Record
 from hitchid.model import Band, FreeRun, Hitch, Rivals, Simulation
-from hitchid.validation.bands import COVERAGE, cycle_band_figures
-from hitchid.validation.channels import paper_channel
-from hitchid.validation.names import BENCHMARK, FREE_RUN, GREYBOX, PERSISTENCE
-from hitchid.validation.predictions import Predictions, commands_of
+from hitchid.validation.channels import COVERAGE, cycle_band_figures, paper_channel
 from hitchid.validation.results import (
+    BENCHMARK,
+    FREE_RUN,
+    GREYBOX,
+    PERSISTENCE,
     Accuracy,
     CycleResult,
     Horizons,
     ModelFigures,
+    Predictions,
     RunFigures,
+    commands_of,
     figures_by_test,
 )
 

@@ -6,13 +6,19 @@ from enum import Enum
 from itertools import combinations
 from typing import TYPE_CHECKING
 
-from hitchid._support.dataframes import dataframe
 from hitchid._support.metrics import SIGNIFICANCE, holm
-from hitchid._support.short_repr import short_repr
-from hitchid._support.summary import Summarised, Summary, count
-from hitchid.validation.names import FREE_RUN, GREYBOX, ONE_STEP
-from hitchid.validation.predictions import MIN_TESTS, Predictions
-from hitchid.validation.results import Accuracy, ModelFigures, RunFigures
+from hitchid._support.records import short_repr
+from hitchid._support.tables import Summarised, Summary, count, dataframe
+from hitchid.validation.results import (
+    FREE_RUN,
+    GREYBOX,
+    MIN_TESTS,
+    ONE_STEP,
+    Accuracy,
+    ModelFigures,
+    Predictions,
+    RunFigures,
+)
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -7,11 +7,11 @@ from typing import Annotated
 from pydantic import Field, field_validator, model_validator
 
 from hitchid._support.metrics import HORIZONS
-from hitchid.data.record import DIRECTIONS
-from hitchid.data.signal_map import Strict, parse_settings
-from hitchid.data.units import UNITS, conversion_factor
 from hitchid.errors import InputError, SettingsError
-from hitchid.validation.names import CYCLES, GREYBOX, NAMES, ONE_STEP
+from hitchid.logs.record import DIRECTIONS
+from hitchid.logs.signal_map import Strict, parse_settings
+from hitchid.logs.units import UNITS, conversion_factor
+from hitchid.validation.results import CYCLES, GREYBOX, NAMES, ONE_STEP
 
 BASELINES = tuple(name for name in NAMES if name != GREYBOX)
 

@@ -4,8 +4,12 @@ from collections.abc import Mapping
 from dataclasses import asdict
 
 from hitchid.model import Characteristics, Estimate, Estimates, LoadScatter, Quantity, SearchSummary, TwoModes
-from hitchid.validation.names import BENCHMARK, CYCLES, FREE_RUN, GREYBOX, RUNS
 from hitchid.validation.results import (
+    BENCHMARK,
+    CYCLES,
+    FREE_RUN,
+    GREYBOX,
+    RUNS,
     Accuracy,
     BandFigures,
     ChannelResult,

@@ -9,7 +9,6 @@ from hitchid._support import checks
 from hitchid.errors import InputError
 from hitchid.plots import (
     ErrorBin,
-    canvas,
     draw_band,
     draw_correlation,
     draw_error_bins,
@@ -17,10 +16,16 @@ from hitchid.plots import (
     draw_measured,
     draw_predicted,
 )
-from hitchid.validation.names import FREE_RUN, label
-from hitchid.validation.predictions import Predictions, concatenate_tests, concatenated_time
+from hitchid.plots.style import canvas
 from hitchid.validation.residuals import ResidualTests
-from hitchid.validation.shown_tests import shown_tests
+from hitchid.validation.results import (
+    FREE_RUN,
+    Predictions,
+    concatenate_tests,
+    concatenated_time,
+    label,
+    shown_tests,
+)
 
 FIT_IN, RESIDUALS_IN = 4.4, 6.4  # heights of new figures, inch; chosen
 VARIABLES = {

@@ -5,12 +5,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from hitchid._support.notices import Notice
-from hitchid._support.short_repr import short_repr
-from hitchid._support.versions import installed_versions
-from hitchid.data.campaign import Campaign
-from hitchid.data.record import COMMAND, CYCLE, DISPLACEMENT, IDLE, RAMP, Record
-from hitchid.inspection.inspect_logs import Inspection, inspect_campaign
+from hitchid._support.jax_setup import installed_versions
+from hitchid._support.records import Notice, short_repr
+from hitchid.logs.campaign import Campaign
+from hitchid.logs.inspect import Inspection, inspect_campaign
+from hitchid.logs.record import COMMAND, CYCLE, DISPLACEMENT, IDLE, RAMP, Record
 from hitchid.model import Channel, Hitch, Provenance
 from hitchid.validation.valve_map import ValveMap, valve_map
 

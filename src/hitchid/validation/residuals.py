@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc, ndtr, ndtri
 
-from hitchid._support.short_repr import short_repr
+from hitchid._support.records import short_repr
 from hitchid.errors import InputError
 
 LEVEL = 0.01  # significance of every test; chosen

@@ -2,11 +2,18 @@
 
 from collections.abc import Iterable
 
-from hitchid._support.sparkline import sparkline
-from hitchid._support.summary import Summary, count, first_notes
+from hitchid._support.tables import Summary, count, first_notes, sparkline
 from hitchid.validation.comparison import ModelComparison
-from hitchid.validation.names import CYCLES, FREE_RUN, GREYBOX, in_table_order, model_name
-from hitchid.validation.results import Accuracy, ModelFigures, RunFigures
+from hitchid.validation.results import (
+    CYCLES,
+    FREE_RUN,
+    GREYBOX,
+    Accuracy,
+    ModelFigures,
+    RunFigures,
+    in_table_order,
+    model_name,
+)
 from hitchid.validation.validation import Validation
 
 MAX_NOTICES = 3  # that are shown; chosen

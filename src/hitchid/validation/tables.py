@@ -2,12 +2,20 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from hitchid._support.data_table import Cell, DataTable
+from hitchid._support.tables import Cell, DataTable
 from hitchid.model import Characteristics, Estimates, Interval, LoadScatter, SearchSummary
-from hitchid.validation.names import CYCLES, RUNS, in_table_order
 from hitchid.validation.report_data import LogUse
 from hitchid.validation.residuals import ResidualTests
-from hitchid.validation.results import Accuracy, BandFigures, ChannelResult, CycleResult, RunFigures
+from hitchid.validation.results import (
+    CYCLES,
+    RUNS,
+    Accuracy,
+    BandFigures,
+    ChannelResult,
+    CycleResult,
+    RunFigures,
+    in_table_order,
+)
 
 Row = dict[str, Cell]
 

@@ -8,20 +8,26 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hitchid._support import checks
-from hitchid._support.data_table import DataTable, csv_files
-from hitchid._support.storage import canonical_json, write_bytes, write_files, write_folder
-from hitchid._support.summary import Summarised, Summary
-from hitchid._support.values import Value
-from hitchid.data.campaign import Campaign
-from hitchid.data.record import COMMAND
+from hitchid._support.files import canonical_json, write_bytes, write_files, write_folder
+from hitchid._support.records import Value
+from hitchid._support.tables import DataTable, Summarised, Summary, csv_files
+from hitchid.logs.campaign import Campaign
+from hitchid.logs.record import COMMAND
 from hitchid.model import Hitch, TwoModes
 from hitchid.validation.acceptance import Acceptance, check_limits
 from hitchid.validation.limits import AcceptanceLimits
 from hitchid.validation.metrics_json import validation_json
-from hitchid.validation.names import BENCHMARK, CYCLES, FREE_RUN, RUNS
-from hitchid.validation.predictions import Predictions
 from hitchid.validation.report_data import ReportData, log_uses, report_data
-from hitchid.validation.results import Accuracy, ChannelResult, CycleResult
+from hitchid.validation.results import (
+    BENCHMARK,
+    CYCLES,
+    FREE_RUN,
+    RUNS,
+    Accuracy,
+    ChannelResult,
+    CycleResult,
+    Predictions,
+)
 from hitchid.validation.tables import log_table, validation_tables
 
 if TYPE_CHECKING:
@@ -165,7 +171,7 @@ class Validation(Value, Summarised):
             acceptance: result of the acceptance limits; None without limits.
             command: the command line that wrote the report.
         """
-        from hitchid.report import validation_report
+        from hitchid.report.validation_report import validation_report
 
         return validation_report(
             self, self.report_data(), trace=trace, acceptance=acceptance, command=command

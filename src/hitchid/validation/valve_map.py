@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import savgol_filter
 
-from hitchid._support.precision import double_precision
-from hitchid.data.record import COMMAND, DISPLACEMENT, Record
+from hitchid._support.jax_setup import double_precision
+from hitchid.handover.responses import settling_s
+from hitchid.logs.record import COMMAND, DISPLACEMENT, Record
 from hitchid.model import Channel
-from hitchid.model.responses import settling_s
 
 LEVELS = 24  # commands of the benchmark's curve; all values chosen
 SETTLED_S, END_S = 3.0, 0.5  # the benchmark's speed: mean over the last 0.5 s of 3 s or more at one command

@@ -11,13 +11,13 @@ from hitchid.hmi.source import Source
 
 
 def _rig(name: str) -> Source:
-    from hitchid.hmi.sources.rig import VirtualBench
+    from hitchid.hmi.sources.simulated import VirtualBench
 
     return VirtualBench(name or "nominal")
 
 
 def _replay(log: str) -> Source:
-    from hitchid.hmi.sources.replay import Replay
+    from hitchid.hmi.sources.simulated import Replay
 
     return Replay(log)
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from hitchid.data.signal_map import Strict, parse_settings
 from hitchid.errors import InputError
 from hitchid.hmi.source import REQUIRED, Reading, Signal
+from hitchid.logs.signal_map import Strict, parse_settings
 
 HELD_S = 0.1  # s, age at which a value counts as missing, not as measured again; chosen: a slow cycle time
 MOST_FRAMES = 1000  # taken in one tick, so that a flooded bus cannot hold up the loop; chosen

@@ -20,9 +20,8 @@ from hitchid.plots.style import (
     styled,
 )
 from hitchid.validation import Horizons, Predictions
-from hitchid.validation.names import label
 from hitchid.validation.plotting import draw_fit
-from hitchid.validation.predictions import concatenate_tests
+from hitchid.validation.results import concatenate_tests, label
 
 MAX_SAMPLES, QUANTILES = 2000, 201  # samples, as in the paper; points of a cumulative curve
 PAPER_MODELS = ("one_step", "free_run", "benchmark")

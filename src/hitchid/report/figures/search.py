@@ -9,6 +9,7 @@ from matplotlib.ticker import MaxNLocator
 
 from hitchid._support.inert import printable
 from hitchid.model import SearchSummary
+from hitchid.model.trace import TracedCandidate, TracedSearch, TracedTraining
 from hitchid.plots.style import (
     COLOURS,
     COLUMN_IN,
@@ -19,7 +20,6 @@ from hitchid.plots.style import (
     logarithmic,
     styled,
 )
-from hitchid.report.trace_file import TracedCandidate, TracedSearch, TracedTraining
 
 SEARCH_COLOURS = {"whale": "one_step", "differential-evolution": "benchmark", "multi-start": "greybox"}
 WRAP = 24  # characters per line of the name of a structure; chosen

@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hitchid._support.storage import write_file
-from hitchid.data.plotting import draw_record
-from hitchid.data.record import DIRECTIONS, Record
-from hitchid.data.segmentation import LABELS, Segment
+from hitchid._support.files import write_file
+from hitchid.logs.kinds import LABELS, Segment
+from hitchid.logs.plotting import draw_record
+from hitchid.logs.record import DIRECTIONS, Record
 from hitchid.plots.style import COLOURS, PAGE_IN, legend_above, style, styled
 
 ROW_IN = 2.4  # height of a record, inch; chosen

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from hitchid.data.record import Record
+from hitchid.logs.record import Record
 from hitchid.plots.style import COLOURS, COLUMN_IN, FAINT, INK, decimate, legend_above, styled
 from hitchid.validation.valve_map import ValveMap
 

@@ -1,0 +1,289 @@
+"""Test signals: ramps, maximum-length and random binary sequences, multi-level steps, mixed duty cycles.
+
+Every signal is an effective command; `precompensated` adds the dead zone found in the static test (Sun et al.
+2025, sec. 2.3.1). Commands are held between samples.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+from scipy.signal import max_len_seq
+
+from hitchid.errors import InputError
+from hitchid.identification.dead_zone import from_ramps
+from hitchid.logs.record import DIRECTIONS, LIFTING, Record
+
+# Static test: dead zone and speed of a direction from slow ramps.
+
+RAMP_TRAVEL_M = 0.02  # m, travel at which a ramp ends (chosen, as an operator would end it)
+RAMP_TAIL_S = 1.0  # s, end of a ramp used for its speed (chosen)
+
+
+@dataclass(frozen=True)
+class StaticResult:
+    """Result of the static test of one direction.
+
+    Attributes:
+        dead_zone: mean over the ramps, A.
+        speed_per_command: speed at the end of the ramps over the effective command there, mm/(s·A).
+    """
+
+    dead_zone: float
+    speed_per_command: float
+
+
+def evaluate_ramps(ramps: Sequence[Record], direction: str) -> StaticResult:
+    """Return the result of the ramps of one direction (Sun et al. 2025, sec. 2.3.1).
+
+    Args:
+        ramps: at least one; displacement in mm, command in A.
+        direction: lifting or lowering.
+
+    Raises:
+        LogError: a ramp ends before the piston moves.
+    """
+    sign = 1 if direction == LIFTING else -1
+    zone = from_ramps(ramps, direction, sign).value
+    tail = slice(-round(RAMP_TAIL_S / ramps[0].step_s), None)
+    speeds = [sign * np.polyfit(ramp.time_s[tail], ramp.displacement[tail], 1)[0] for ramp in ramps]
+    effective = np.mean([ramp.command(direction)[tail].mean() - zone for ramp in ramps])
+    return StaticResult(zone, float(np.mean(speeds) / effective))
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """A test signal and its settings.
+
+    Attributes:
+        command: effective command, shape [N].
+        step_s: sampling time, s.
+        description: name and settings of the signal.
+    """
+
+    command: np.ndarray
+    step_s: float
+    description: Mapping[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Freeze the description."""
+        object.__setattr__(self, "description", MappingProxyType(dict(self.description)))
+
+
+def precompensated(command: np.ndarray, dead_zone: float) -> np.ndarray:
+    """Return the command for an effective command u at dead zone d: c = u + d where u > 0, else 0."""
+    return np.where(command > 0, command + dead_zone, 0.0)
+
+
+def ramp(*, top: float, duration_s: float, step_s: float = 0.01) -> Excitation:
+    """Return a slow rise from zero to `top`: the static test.
+
+    Args:
+        top: last command.
+        duration_s: length, s.
+        step_s: sampling time, s.
+    """
+    count = _count(duration_s, step_s)
+    return Excitation(
+        np.linspace(0.0, top, count), step_s, {"signal": "ramp", "top": top, "duration_s": duration_s}
+    )
+
+
+def prbs(
+    *,
+    low: float,
+    high: float,
+    clock_s: float,
+    duration_s: float,
+    seed: int,
+    rest_s: float = 0.05,
+    step_s: float = 0.01,
+) -> Excitation:
+    """Return a maximum-length pseudo-random binary sequence between two levels, after a short rest.
+
+    The shift register is the shortest whose period 2ⁿ − 1 covers the test; the seed chooses its phase.
+
+    Args:
+        low, high: the two levels; raises `InputError` unless 0 ≤ low < high.
+        clock_s: shortest time a level is held, s.
+        duration_s: length, s.
+        seed: phase of the sequence.
+        rest_s: time at zero before the sequence, s.
+        step_s: sampling time, s.
+    """
+    if not 0 <= low < high:
+        raise InputError(f"prbs: expected 0 ≤ low < high, got {low:g} and {high:g}")
+    count, hold_samples = _count(duration_s, step_s), max(1, round(clock_s / step_s))
+    rest = round(rest_s / step_s)
+    clocks = -(-(count - rest) // hold_samples)
+    bits = max(4, int(np.ceil(np.log2(clocks + 1))))
+    state = np.random.default_rng(seed).integers(0, 2, bits)
+    state[0] |= not state.any()
+    sequence = max_len_seq(bits, state=state, length=clocks)[0]
+    levels = np.repeat(np.where(sequence > 0, high, low), hold_samples)
+    command = np.concatenate([np.zeros(rest), levels])[:count]
+    description = {"signal": "prbs", "low": low, "high": high, "clock_s": clock_s, "bits": bits, "seed": seed}
+    return Excitation(command, step_s, description)
+
+
+def random_hold(
+    *,
+    levels: Sequence[float],
+    shortest_s: float,
+    longest_s: float,
+    duration_s: float,
+    seed: int,
+    rest_s: float = 0.05,
+    step_s: float = 0.01,
+) -> Excitation:
+    """Return random levels, each held for a random time: binary for two levels, else multi-level.
+
+    Args:
+        levels: the commands to draw from.
+        shortest_s, longest_s: range of the hold time, s; raises `InputError` unless 0 < shortest ≤ longest.
+        duration_s: length, s.
+        seed: seed of levels and times.
+        rest_s: time at zero before the first level, s.
+        step_s: sampling time, s.
+    """
+    if not 0 < shortest_s <= longest_s:
+        raise InputError(f"hold: expected 0 < shortest ≤ longest, got {shortest_s:g} and {longest_s:g} s")
+    rng = np.random.default_rng(seed)
+    count = _count(duration_s, step_s)
+    command = np.zeros(count)
+    start = round(rest_s / step_s)
+    while start < count:
+        stop = start + max(1, round(rng.uniform(shortest_s, longest_s) / step_s))
+        command[start:stop] = rng.choice(np.asarray(levels))
+        start = stop
+    description = {"signal": "random hold", "levels": list(levels), "seed": seed}
+    return Excitation(command, step_s, description)
+
+
+def duty_cycle(
+    *,
+    levels: tuple[tuple[float, float], tuple[float, float]],
+    speeds: tuple[float, float],
+    start: float,
+    displacement_range: tuple[float, float],
+    duration_s: float,
+    seed: int,
+    step_s: float = 0.01,
+) -> tuple[Excitation, Excitation]:
+    """Return random lift, hold and lower strokes within a range of displacement.
+
+    The travel of a stroke is predicted from the speed per effective command of its direction. The probability
+    of a direction grows with the travel left in it.
+
+    Args:
+        levels: lowest and highest effective command, lifting and lowering.
+        speeds: speed per effective command, lifting and lowering, displacement per second and command.
+        start: initial displacement.
+        displacement_range: lowest and highest displacement.
+        duration_s: length, s.
+        seed: seed of directions, levels and times.
+        step_s: sampling time, s.
+
+    Returns:
+        The lifting and the lowering command.
+    """
+    rng = np.random.default_rng(seed)
+    count = _count(duration_s, step_s)
+    commands = np.zeros((2, count))
+    height, sample = start, round(0.5 / step_s)
+    while sample < count:
+        up = bool(
+            rng.random() < (displacement_range[1] - height) / (displacement_range[1] - displacement_range[0])
+        )
+        level = rng.uniform(*levels[0 if up else 1])
+        speed = level * speeds[0 if up else 1]
+        available = (displacement_range[1] - height) if up else (height - displacement_range[0])
+        hold_s = min(rng.uniform(1.0, 3.0), max(available, 0.0) / speed)
+        stop = sample + round(hold_s / step_s)
+        commands[0 if up else 1, sample:stop] = level
+        height += (1 if up else -1) * speed * hold_s
+        sample = stop + round(rng.uniform(0.2, 1.5) / step_s)
+    description = {"signal": "duty cycle", "seed": seed}
+    return Excitation(commands[0], step_s, description), Excitation(commands[1], step_s, description)
+
+
+def _count(duration_s: float, step_s: float) -> int:
+    """Return the samples of a test, both ends included: 10 s at 0.01 s gives 1001."""
+    if not (duration_s > 0 and step_s > 0 and duration_s >= step_s):
+        raise InputError(
+            f"excitation: expected a duration of at least one step, got {duration_s:g} s and {step_s:g} s"
+        )
+    return round(duration_s / step_s) + 1
+
+
+# Commands of the tests of a campaign, drawn at random within given limits.
+
+LOW = (0.03, 0.25)  # low level over the highest command, limits of a random draw (chosen)
+HIGH = (0.5, 1.0)  # high level over the highest command, limits of a random draw (chosen)
+CLOCK_S = (0.15, 0.4)  # s, shortest hold of a level, limits of a random draw (chosen)
+
+
+def binary_command(
+    highest: float, dead_zone: float, duration_s: float, rng: np.random.Generator, step_s: float = 0.01
+) -> np.ndarray:
+    """Return the command of one PRBS test, with levels and clock drawn at random, shape [N].
+
+    Args:
+        highest: largest effective command.
+        dead_zone: of the direction; it is added to every level.
+        duration_s: length, s.
+        rng: draws levels, clock and phase.
+        step_s: sampling time, s.
+    """
+    signal = prbs(
+        low=rng.uniform(*LOW) * highest,
+        high=rng.uniform(*HIGH) * highest,
+        clock_s=rng.uniform(*CLOCK_S),
+        duration_s=duration_s,
+        seed=int(rng.integers(2**31)),
+        step_s=step_s,
+    )
+    return precompensated(signal.command, dead_zone)
+
+
+def cycle_commands(
+    static: Mapping[str, StaticResult],
+    highest: Mapping[str, float],
+    *,
+    start_mm: float,
+    displacement_range: tuple[float, float],
+    duration_s: float,
+    seed: int,
+    step_s: float = 0.01,
+) -> np.ndarray:
+    """Return the commands of one mixed cycle, lifting and lowering, shape [N, 2].
+
+    Args:
+        static: direction to the result of its static test.
+        highest: direction to its largest effective command.
+        start_mm: initial displacement, mm.
+        displacement_range: lowest and highest displacement, mm.
+        duration_s: length, s.
+        seed: of directions, levels and times.
+        step_s: sampling time, s.
+    """
+    lifting, lowering = (
+        (LOW[1] * highest[direction], HIGH[1] * highest[direction]) for direction in DIRECTIONS
+    )
+    up, down = (static[direction].speed_per_command for direction in DIRECTIONS)
+    pair = duty_cycle(
+        levels=(lifting, lowering),
+        speeds=(up, down),
+        start=start_mm,
+        displacement_range=displacement_range,
+        duration_s=duration_s,
+        seed=seed,
+        step_s=step_s,
+    )
+    return np.column_stack(
+        [
+            precompensated(signal.command, static[direction].dead_zone)
+            for direction, signal in zip(DIRECTIONS, pair, strict=True)
+        ]
+    )

@@ -1,1 +1,0 @@
-"""Test signals, and campaigns of tests on the virtual bench."""

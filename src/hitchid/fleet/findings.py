@@ -1,0 +1,185 @@
+"""What a comparison of machines says, in sentences."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from hitchid.fleet.comparison import FleetComparison
+from hitchid.fleet.outliers import CohortEffect
+from hitchid.fleet.parameters import DEAD_ZONE, DELAY, GAIN, LOAD_SCATTER, FleetParameter
+from hitchid.report import numbers
+from hitchid.report.document import Finding, Rating
+
+MOST_SENTENCES = 10  # machines with a sentence of their own, of each kind; chosen
+LEAST_Q = 1e-3  # smaller ones are given as below it; chosen
+MINUS = "\N{MINUS SIGN}"
+VERBS = {"lifting": "lift", "lowering": "lower"}
+
+
+def fleet_findings(comparison: FleetComparison) -> tuple[Finding, ...]:
+    """Return what stands out, changes, differs between cohorts and failed.
+
+    Args:
+        comparison: of the machines.
+    """
+    return (
+        _how_many(comparison),
+        *_limited([Finding(Rating.CAUTION, text) for text in outlier_sentences(comparison)], "outliers"),
+        *_limited([Finding(Rating.CAUTION, text) for text in _trend_sentences(comparison)], "trends"),
+        *_limited([Finding(Rating.CAUTION, text) for text in _cohort_sentences(comparison)], "cohorts"),
+        *_failures(comparison),
+    )
+
+
+def _limited(findings: Sequence[Finding], table: str) -> list[Finding]:
+    """Return at most ten findings, and how many more are in a table."""
+    shown, more = list(findings[:MOST_SENTENCES]), len(findings) - MOST_SENTENCES
+    if more > 0:
+        shown.append(Finding(Rating.CAUTION, f"{more} more: see the table of {table}."))
+    return shown
+
+
+def _how_many(comparison: FleetComparison) -> Finding:
+    count, all_machines = len(comparison.standing_out), len(comparison.machines)
+    if not all_machines:
+        return Finding(Rating.BAD, "No machine is compared.")
+    if np.all(np.isnan(comparison.outliers.p_value)):
+        machines = numbers.count(all_machines, "machine")
+        return Finding(Rating.CAUTION, f"{machines} with a model, too few for one to stand out.")
+    if not count:
+        return Finding(Rating.GOOD, f"None of {all_machines} machines stands out. {detectable(comparison)}")
+    verb = "stands" if count == 1 else "stand"
+    return Finding(Rating.CAUTION, f"{count} of {all_machines} machines {verb} out.")
+
+
+def detectable(comparison: FleetComparison) -> str:
+    """Return which deviation would be named with a probability of 90 %; empty if nothing is compared."""
+    parts = []
+    for column, parameter in enumerate(comparison.parameters):
+        values = comparison.outliers.detectable[:, column]
+        if parameter.name in (GAIN, DEAD_ZONE) and not np.all(np.isnan(values)):
+            difference = amount(parameter, parameter.difference(float(np.nanmedian(values))))
+            parts.append(f"{parameter.name} of {parameter.direction} by {difference}")
+    if not parts:
+        return ""
+    return f"A single machine is named with a probability of 90 % if it differs in {', '.join(parts)}."
+
+
+def outlier_sentences(comparison: FleetComparison) -> Iterator[str]:
+    """Yield a sentence for each parameter in which a machine stands out, smallest p-value first."""
+    outliers = comparison.outliers
+    for machine, column in outliers.ranking:
+        parameter = comparison.parameters[column]
+        deviation, lower, upper = (
+            float(parameter.difference(each[machine, column]))
+            for each in (outliers.deviation, outliers.lower, outliers.upper)
+        )
+        ends = signed_range(parameter, lower, upper)
+        effect = _effect(parameter, deviation)
+        yield f"{comparison.machines[machine]} {effect} than the others (interval {ends})."
+
+
+def _effect(parameter: FleetParameter, deviation: float) -> str:
+    """Return what a deviation does, as `lowers 12 % slower`."""
+    verb, size, higher = VERBS[parameter.direction], amount(parameter, abs(deviation)), deviation > 0
+    return {
+        GAIN: f"{verb}s {size} {'faster' if higher else 'slower'}",
+        DEAD_ZONE: f"begins to {verb} at a command {size} {'higher' if higher else 'lower'}",
+        DELAY: f"begins to {verb} {size} {'later' if higher else 'earlier'}",
+        LOAD_SCATTER: f"{verb}s with {size} {'more' if higher else 'less'} scatter between tests",
+    }[parameter.name]
+
+
+def difference_unit(parameter: FleetParameter) -> str:
+    """Return the unit in which a difference is stated: % for a logarithm."""
+    return "%" if parameter.logarithmic else parameter.unit
+
+
+def amount(parameter: FleetParameter, difference: float | np.ndarray) -> str:
+    """Return a difference to two digits with its unit."""
+    scaled = float(difference) * (100 if parameter.logarithmic else 1)
+    return f"{_two_digits(scaled)} {difference_unit(parameter)}"
+
+
+def signed_range(parameter: FleetParameter, lower: float, upper: float) -> str:
+    """Return two ends of a difference with their signs and unit."""
+    factor = 100 if parameter.logarithmic else 1
+    ends = (f"{_sign(end)}{_two_digits(factor * abs(end))}" for end in (lower, upper))
+    return f"{' … '.join(ends)} {difference_unit(parameter)}"
+
+
+def signed_amount(parameter: FleetParameter, difference: float) -> str:
+    """Return a difference to two digits with its sign and unit."""
+    return f"{_sign(difference)}{amount(parameter, abs(difference))}"
+
+
+def _sign(number: float) -> str:
+    return "+" if number > 0 else MINUS
+
+
+def _two_digits(value: float) -> str:
+    text = f"{value:.2g}"
+    return f"{float(text):.0f}" if "e" in text and abs(value) >= 1 else text
+
+
+def _trend_sentences(comparison: FleetComparison) -> Iterator[str]:
+    trends = comparison.trends
+    if trends is None:
+        return
+    for row, column in trends.ranking:
+        line = int(np.flatnonzero(trends.machines == row)[0])
+        if not trends.q_values[line, column] <= comparison.false_discovery_rate:
+            return
+        parameter = comparison.parameters[column]
+        slope, lower, upper = (
+            float(parameter.difference(each[line, column]))
+            for each in (trends.slopes, trends.lower, trends.upper)
+        )
+        verb = "rises" if slope > 0 else "falls"
+        yield (
+            f"{comparison.machines[row]}: {parameter.name} of {parameter.direction} {verb} by "
+            f"{amount(parameter, abs(slope))} a year (95 %: {signed_range(parameter, lower, upper)})."
+        )
+
+
+def _cohort_sentences(comparison: FleetComparison) -> Iterator[str]:
+    for effect in sorted(comparison.cohorts, key=lambda effect: effect.p_value):
+        if effect.q_value <= comparison.false_discovery_rate:
+            yield cohort_sentence(comparison, effect)
+
+
+def cohort_sentence(comparison: FleetComparison, effect: CohortEffect) -> str:
+    """Return how a parameter differs over a column of the metadata."""
+    parameter = comparison.parameters[effect.parameter]
+    name = f"{parameter.name} of {parameter.direction}"
+    if effect.labels:
+        values = (
+            f"{label} {numbers.digits(float(parameter.value(value)))}" for label, value in _pairs(effect)
+        )
+        means = f"{', '.join(values)} {parameter.unit}"
+        return f"The {name} depends on {effect.column}: {means} ({q_text(effect.q_value)})."
+    slope = float(parameter.difference(effect.values[0]))
+    verb = "rises" if slope > 0 else "falls"
+    return (
+        f"The {name} {verb} with {effect.column}, by {amount(parameter, abs(slope))} for each unit "
+        f"({q_text(effect.q_value)})."
+    )
+
+
+def q_text(q_value: float) -> str:
+    """Return a q-value with two digits, `< 0.001` below that."""
+    return f"q {'< 0.001' if q_value < LEAST_Q else f'= {q_value:.2g}'}"
+
+
+def _pairs(effect: CohortEffect) -> Iterator[tuple[str, float]]:
+    return zip(effect.labels, effect.values, strict=True)
+
+
+def _failures(comparison: FleetComparison) -> Iterator[Finding]:
+    failed = comparison.failed
+    if failed:
+        causes = Counter(row.cause for row in failed).most_common()
+        listed = ", ".join(f"{cause} ({count})" for cause, count in causes)
+        text = f"{len(failed)} of {len(comparison.rows)} machines could not be identified: {listed}."
+        yield Finding(Rating.BAD, text)

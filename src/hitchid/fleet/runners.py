@@ -1,0 +1,248 @@
+"""Runner on the cores of this machine: one process a worker, each replaced where it dies."""
+
+import logging
+import os
+import shutil
+import signal
+import tempfile
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import TYPE_CHECKING, cast
+from urllib.parse import urlsplit
+
+from hitchid.errors import InputError, OutputError
+from hitchid.fleet.store import Machine
+from hitchid.fleet.task import UNFINISHED, Acknowledgement, Job, run_task
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+
+# Runner on a cluster of dask.distributed, started here or reached by its address.
+
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
+
+
+def run_on_cluster(
+    job: Job,
+    machines: Sequence[Machine],
+    workers: int,
+    scheduler: str | None = None,
+    on_page: Callable[[str], None] = lambda address: None,
+) -> Iterator[Acknowledgement]:
+    """Yield the acknowledgement of each machine, in the order in which they end.
+
+    Args:
+        job: what is to be done.
+        machines: to work on.
+        workers: number of processes of one thread, where the cluster is started here.
+        scheduler: address of a running scheduler, `tls://host:port`, or `tcp://` on this machine; its workers
+            need one thread each.
+        on_page: called with the address of the page on which dask shows its work.
+
+    Raises:
+        InputError: dask.distributed is not installed, or the address is neither TLS nor on this machine.
+    """
+    try:
+        from distributed import as_completed
+
+        from hitchid.fleet.one_core import OneCore
+    except ImportError as error:
+        raise InputError("dask.distributed is required: pip install 'hitchid[fleet]'") from error
+    with _client(workers, scheduler) as client:
+        client.register_plugin(OneCore())
+        on_page(str(client.dashboard_link))
+        futures = {
+            client.submit(
+                partial(run_task, job.only(machine.name)),
+                machine,
+                key=f"{machine.name}-{machine.signature(job.stamp(machine.name))}",
+                pure=False,
+            ): machine
+            for machine in machines
+        }
+        for future in as_completed(list(futures), loop=client.loop):
+            machine = futures.pop(future)
+            error = future.exception()
+            yield (
+                future.result()
+                if error is None
+                else Acknowledgement(machine.name, UNFINISHED, f"{type(error).__name__}: {error}")
+            )
+            future.release()
+
+
+def check_scheduler(address: str) -> str:
+    """Return the address of a scheduler that is reached by TLS or on this machine.
+
+    Raises:
+        InputError: it is another one: what is sent to a scheduler is run by its workers.
+    """
+    parts = urlsplit(address)
+    if parts.scheme == "tls" or (parts.scheme == "tcp" and parts.hostname in LOOPBACK):
+        return address
+    raise InputError(
+        f"scheduler: got {address}, expected tls://HOST:PORT, or tcp:// with an address of this machine"
+    )
+
+
+@contextmanager
+def _client(workers: int, scheduler: str | None) -> Iterator["Client"]:
+    from distributed import Client, LocalCluster
+
+    if scheduler is not None:
+        with Client(check_scheduler(scheduler), set_as_default=False) as client:
+            yield client
+        return
+    with (
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            memory_limit=0,  # workers bound their memory themselves
+            silence_logs=logging.CRITICAL,
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        yield client
+
+
+REMOVALS = 10  # of a folder that is written meanwhile, until nothing more can be written in it; chosen
+KILL = 9  # the signal that ends a process when memory is short; Windows does not name it
+MAX_DEATHS = 3  # of workers on one machine, after which it is left unfinished; chosen, as in dask
+
+
+def run_local(job: Job, machines: Sequence[Machine], workers: int) -> Iterator[Acknowledgement]:
+    """Yield the acknowledgement of each machine, in the order in which they end.
+
+    A machine whose worker died is given to another one; after three deaths it is left unfinished.
+
+    Args:
+        job: what is to be done.
+        machines: to work on.
+        workers: number of processes.
+    """
+    waiting, deaths = deque(machines), Counter()
+    crew: list[_Worker] = []
+    try:
+        while waiting or any(worker.machine for worker in crew):
+            crew += [_Worker.start(job) for _ in range(min(workers, len(waiting)) - len(crew))]
+            for worker in crew:
+                if worker.machine is None and waiting:
+                    worker.give(waiting.popleft())
+            for worker in _ready(crew):
+                machine, acknowledgement = worker.machine, worker.receive()
+                if acknowledgement is None:
+                    crew.remove(worker)
+                if machine is not None and acknowledgement is None:
+                    deaths[machine] += 1
+                    if deaths[machine] < MAX_DEATHS:
+                        waiting.append(machine)
+                        continue
+                    message = f"its worker ended {MAX_DEATHS} times: {worker.ending}"
+                    acknowledgement = Acknowledgement(machine.name, UNFINISHED, message)
+                if acknowledgement is not None:
+                    yield acknowledgement
+    finally:
+        for worker in crew:
+            worker.process.kill()
+            worker.end()
+
+
+@dataclass
+class _Worker:
+    """A process, the connection to it, its temporary folder, and the machine it works on."""
+
+    process: BaseProcess
+    connection: Connection
+    folder: str
+    machine: Machine | None = None
+
+    @classmethod
+    def start(cls, job: Job) -> "_Worker":
+        context = get_context("spawn")
+        ours, theirs = context.Pipe()
+        try:
+            folder = tempfile.mkdtemp(prefix="hitchid-fleet-")
+        except OSError as error:
+            raise OutputError(f"no temporary folder can be made: {error}") from error
+        process = context.Process(target=_work, args=(theirs, folder), daemon=True)
+        process.start()
+        theirs.close()
+        worker = cls(process, cast("Connection", ours), folder)
+        worker._send(job)
+        return worker
+
+    def give(self, machine: Machine) -> None:
+        """Let the process work on a machine; a process that has died is noticed when it is waited for."""
+        self.machine = machine
+        self._send(machine)
+
+    def receive(self) -> Acknowledgement | None:
+        """Return what the process sent; None where it has died."""
+        self.machine = None
+        try:
+            return self.connection.recv()
+        except (EOFError, OSError):
+            self.end()
+            return None
+
+    def end(self) -> None:
+        """Wait for a process that ends, and remove what it left in its temporary folder."""
+        self.process.join()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    @property
+    def ending(self) -> str:
+        """How the process has ended, in words."""
+        code = self.process.exitcode or 0
+        if code in (-signal.SIGTERM, -KILL):
+            return "killed, or out of memory"
+        return f"by signal {-code}" if code < 0 else f"with code {code}, after the error that it wrote"
+
+    def _send(self, value: Job | Machine) -> None:
+        with suppress(OSError):
+            self.connection.send(value)
+
+
+def _ready(crew: Sequence[_Worker]) -> list[_Worker]:
+    """Wait until a process has sent something or died, and return those that have."""
+    ready = wait([worker.connection for worker in crew])
+    return [worker for worker in crew if worker.connection in ready]
+
+
+def _work(connection: Connection, folder: str) -> None:
+    """Work on machines until the connection is closed; logs and models are kept in a folder meanwhile."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all processes of a terminal
+    tempfile.tempdir = os.environ["TMPDIR"] = folder
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    from hitchid.fleet.task import prepare_worker
+
+    prepare_worker()  # before the settings of the job import JAX
+    from hitchid.fleet.task import run_task
+
+    try:
+        job = connection.recv()
+        while True:
+            connection.send(run_task(job, connection.recv()))
+    except (EOFError, OSError):
+        return
+
+
+def _end_with_parent() -> None:
+    """End this process when the one that started it has ended."""
+    parent = parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        for _ in range(REMOVALS):
+            shutil.rmtree(tempfile.gettempdir(), ignore_errors=True)
+        os._exit(1)

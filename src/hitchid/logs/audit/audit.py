@@ -1,0 +1,115 @@
+"""All checks of a campaign; their findings merged and sorted."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from hitchid._support.records import Severity
+from hitchid.logs.audit.campaign_checks import (
+    changes,
+    drift,
+    little_motion,
+    one_sided_split,
+    ramp_onsets,
+    short_or_idle,
+    start_positions,
+    too_few_tests,
+)
+from hitchid.logs.audit.clock_checks import (
+    coarse,
+    current_lag,
+    gaps,
+    motion_before_command,
+    not_measured,
+    steps,
+    time_unit,
+)
+from hitchid.logs.audit.command_checks import both_valves, idle_commands, neutral, signs
+from hitchid.logs.audit.context import (
+    AuditFinding,
+    CampaignContext,
+    RecordContext,
+    campaign_context,
+    join_names,
+)
+from hitchid.logs.audit.end_stops import end_stops
+from hitchid.logs.audit.feedback import feedback
+from hitchid.logs.audit.resolution import noisy, quantisation, update_rate
+from hitchid.logs.audit.signal_checks import stuck_sensors, units, units_of_logs
+from hitchid.logs.audit.spikes import jumps, spikes
+from hitchid.logs.campaign import Campaign
+
+MIN_MERGED = 4  # records with the same finding, from which on they are merged (chosen)
+RECORD_CHECKS: tuple[Callable[[RecordContext], list[AuditFinding]], ...] = (
+    not_measured,
+    steps,
+    coarse,
+    update_rate,
+    quantisation,
+    noisy,
+    spikes,
+    jumps,
+    current_lag,
+    both_valves,
+    little_motion,
+    short_or_idle,
+)
+CAMPAIGN_CHECKS: tuple[Callable[[CampaignContext], list[AuditFinding]], ...] = (
+    units,
+    units_of_logs,
+    time_unit,
+    gaps,
+    stuck_sensors,
+    end_stops,
+    motion_before_command,
+    signs,
+    neutral,
+    idle_commands,
+    drift,
+    start_positions,
+    ramp_onsets,
+    feedback,
+    changes,
+    one_sided_split,
+    too_few_tests,
+)
+
+
+def audit(campaign: Campaign) -> tuple[AuditFinding, ...]:
+    """Check a campaign's logs for faults that would bias a model; changes nothing.
+
+    Args:
+        campaign: tests of one plant.
+
+    Returns:
+        Findings by severity, then check, then record in the campaign's order; a finding shared by four or
+        more records is merged into one.
+    """
+    if not campaign.records:
+        return ()
+    # Values near the limits of a float overflow in the checks; such results count as implausible.
+    with np.errstate(all="ignore"):
+        context = campaign_context(campaign)
+        findings = [finding for test in context.tests for check in RECORD_CHECKS for finding in check(test)]
+        findings += [finding for check in CAMPAIGN_CHECKS for finding in check(context)]
+    order = {record.name: rank for rank, record in enumerate(campaign.records)}
+    severities = {severity: rank for rank, severity in enumerate(Severity)}
+    merged = _merged(findings, len(campaign.records))
+    return tuple(sorted(merged, key=lambda f: (severities[f.severity], f.check, order.get(f.record, -1))))
+
+
+def _merged(findings: list[AuditFinding], total: int) -> list[AuditFinding]:
+    """Merge four or more findings that differ only in record and numbers."""
+    alike: dict[tuple[str, Severity, str, str], list[AuditFinding]] = {}
+    for finding in findings:
+        key = (finding.check, finding.severity, finding.signal, finding.advice)
+        alike.setdefault(key, []).append(finding)
+    merged = []
+    for (check, severity, signal, advice), group in alike.items():
+        names = list(dict.fromkeys(finding.record for finding in group if finding.record))
+        if len(names) < MIN_MERGED:
+            merged += group
+            continue
+        what = f"in {len(names)} of {total} tests ({join_names(names)}); in {names[0]}: {group[0].what}"
+        merged.append(AuditFinding(check, severity, "", signal, (), what, advice, tuple(group)))
+    return merged

@@ -1,0 +1,357 @@
+"""Checks that command, current and displacement were logged on one clock."""
+
+import numpy as np
+
+from hitchid._support.records import Severity
+from hitchid.logs.audit.context import AuditFinding, CampaignContext, RecordContext, travel
+from hitchid.logs.not_measured import NOT_MEASURED
+from hitchid.logs.record import COMMAND, DISPLACEMENT, RAMP
+from hitchid.logs.units import UNITS
+
+# Checks of the clock: jitter, sampling time and gaps.
+
+UNLIKE_STEPS = 1.5  # ratio of sampling times; above it, resampling interpolates or smooths motion (chosen)
+MUCH_JITTER = 0.10  # of the sampling time: a tenth of the one-step motion at working speed
+FEWEST_SAMPLES_A_STROKE = 20  # samples per stroke at full speed, to resolve dead time and lag (chosen)
+FAST_FRACTION = 0.99  # quantile of one-step motions; the rest may be spikes (chosen)
+# s: a hydraulic axis crosses its stroke in seconds, and none moves from rest and back in less (chosen).
+LONGEST_STEP_S, SHORTEST_TEST_S = 1.0, 0.1
+MUCH_LOST = 0.05  # of the samples, or of the time (chosen)
+MAX_DISPLACEMENTS = 2**20  # samples examined, to limit time and memory (chosen)
+
+
+def steps(context: RecordContext) -> list[AuditFinding]:
+    """Find logs that were resampled.
+
+    From another sampling time: a note; a warning beyond a factor of 1.5, where interpolation distorts motion.
+    For clock jitter: a note; a warning from 10 %, a position error of a tenth of the one-step motion at
+    working speed. For lost samples that were interpolated: a note; a warning from 5 % of all samples.
+    """
+    findings = []
+    clock = context.record.clock
+    if clock.logged_step_s is not None:
+        step_s = context.record.step_s
+        step_differs = not 1 / UNLIKE_STEPS < clock.logged_step_s / step_s < UNLIKE_STEPS
+        findings.append(
+            context.finding(
+                "sampling",
+                Severity.WARNING if step_differs else Severity.NOTE,
+                f"the log was sampled every {clock.logged_step_s:.4g} s, the campaign every {step_s:.4g} s; "
+                "it was resampled",
+                "log every test with the same sampling time",
+                signal="",
+            )
+        )
+    if context.quality.jitter is not None:
+        findings.append(
+            context.finding(
+                "sampling",
+                Severity.WARNING if context.quality.jitter >= MUCH_JITTER else Severity.NOTE,
+                f"the clock jitters by {context.quality.jitter:.1%} of {context.record.step_s:g} s; "
+                "the log was resampled",
+                "log on the controller's clock, or record the time of each sample",
+                signal="",
+            )
+        )
+    elif clock.longest_gap_s:
+        findings.append(
+            context.finding(
+                "sampling",
+                Severity.WARNING if clock.interpolated_share >= MUCH_LOST else Severity.NOTE,
+                f"{clock.interpolated_share:.1%} of the samples were lost and are interpolated; "
+                f"the longest gap is {clock.longest_gap_s:.3g} s",
+                "check why the logger lost samples",
+                signal="",
+            )
+        )
+    return findings
+
+
+def coarse(context: RecordContext) -> list[AuditFinding]:
+    """Find logs with fewer than 20 samples for the whole travel at working speed.
+
+    With s the 99th percentile of |y[k+1] − y[k]|, where above noise, and R the record's range, a stroke at
+    full speed has R/s samples. Below 20, dead time and lag, a small part of a stroke, are not resolved. The
+    percentile excludes single spikes.
+    """
+    quality = context.quality
+    displacement = context.record.displacement[:MAX_DISPLACEMENTS]
+    if displacement.size < 2 or not quality.peak_to_peak > quality.noise_bound:
+        return []
+    steps = np.abs(np.diff(displacement))
+    percentile_index = int(FAST_FRACTION * (steps.size - 1))
+    steps.partition(percentile_index)
+    fast_step = float(steps[percentile_index])
+    if not (fast_step > quality.noise_bound and fast_step * FEWEST_SAMPLES_A_STROKE > quality.peak_to_peak):
+        return []
+    share = fast_step / quality.peak_to_peak
+    return [
+        context.finding(
+            "sampling",
+            Severity.WARNING,
+            f"from one sample to the next the piston moves by up to {fast_step:.3g} {quality.unit}, "
+            f"{share:.0%} of its range of {quality.peak_to_peak:.4g} {quality.unit}",
+            f"log with a shorter sampling time: at least {FEWEST_SAMPLES_A_STROKE} samples per stroke",
+        )
+    ]
+
+
+def time_unit(context: CampaignContext) -> list[AuditFinding]:
+    """Find campaigns whose time has probably another unit: too slow, or too short, for a hydraulic axis."""
+    step_s = context.tests[0].record.step_s
+    longest_s = max(test.quality.duration_s for test in context.tests)
+    if longest_s >= SHORTEST_TEST_S and step_s < LONGEST_STEP_S:
+        return []
+    unit = "ms or us" if step_s >= LONGEST_STEP_S else "s"
+    what = (
+        f"the sampling time is {step_s:.3g} s, and the longest log lasts {longest_s:.3g} s: "
+        f"the time is probably in {unit}"
+    )
+    return [AuditFinding("units", Severity.WARNING, "", "", (), what, "check the unit of the time")]
+
+
+def not_measured(context: RecordContext) -> list[AuditFinding]:
+    """Find logs with samples that no sensor measured, which reading has left out."""
+    return [
+        context.finding(
+            "not measured",
+            notice.severity,
+            notice.sentence,
+            "check the sensor and the logger; the samples are used nowhere",
+            signal=notice.place,
+        )
+        for notice in context.record.notices
+        if notice.code == NOT_MEASURED
+    ]
+
+
+def gaps(context: CampaignContext) -> list[AuditFinding]:
+    """Find logs that were cut at gaps, and the time lost.
+
+    The parts of a cut log are called log@1, log@2 and so on. A part begins in motion:
+    a note; a warning if more than 5 % of the log's time is lost.
+    """
+    tests_by_log: dict[str, list[RecordContext]] = {}
+    for test in context.tests:
+        base, separator, number = test.record.name.rpartition("@")
+        if separator and number.isdecimal():
+            tests_by_log.setdefault(base, []).append(test)
+    return [finding for base, tests in tests_by_log.items() for finding in _gaps_of(base, tests)]
+
+
+def _gaps_of(base: str, tests: list[RecordContext]) -> list[AuditFinding]:
+    tests = sorted(tests, key=lambda test: test.record.start_s)
+    ends = [test.record.start_s + test.quality.duration_s for test in tests]
+    begins = [test.record.start_s for test in tests]
+    lost = [
+        (round(end, 6), round(begin, 6))
+        for end, begin in zip(ends[:-1], begins[1:], strict=True)
+        if begin > end
+    ]
+    total, missing = ends[-1] - begins[0], sum(b - a for a, b in lost)
+    if not lost or not total > 0:
+        return []
+    severity = Severity.WARNING if missing > MUCH_LOST * total else Severity.NOTE
+    what = (
+        f"the log '{base}' has {len(lost)} gap{'s' * (len(lost) > 1)}: "
+        f"{missing:.3g} s of {total:.4g} s are lost ({missing / total:.1%})"
+    )
+    advice = "check why the logger lost samples; each part after a gap starts in motion"
+    return [AuditFinding("gaps", severity, tests[0].record.name, "", tuple(lost), what, advice)]
+
+
+LONGEST_LAG_S = 1.0  # s, search range to either side (chosen)
+MAX_LAGS = 2000  # samples, search range to either side (chosen)
+MAX_SAMPLES = 2**18  # samples examined, to limit time and memory (chosen)
+LEAST_CORRELATION = 0.7  # of command and current at the best lag (chosen)
+LEAST_SHARPNESS = 0.02  # decrease of the correlation from the peak to both ends (chosen)
+LEAD_SAMPLES = 1.0  # samples; lead explained by the order in which a logger samples
+MAX_LAG_S = 0.1  # s; the lag of a coil is a tenth of it
+CHANGED_FRACTION = 0.01  # of full scale; smallest change of command (chosen)
+MIN_TRAVEL_FRACTION = 0.005  # of the campaign's range; smallest motion (chosen)
+FEWEST_BEFORE = 5  # samples at rest before the command (chosen)
+CREEP_FRACTION = 0.3  # of working speed; slower motion is creep (chosen)
+
+
+def current_lag(context: RecordContext) -> list[AuditFinding]:
+    """Find the lag of each measured current behind its command.
+
+    The lag is where the correlation of command and current is largest within ±1 s, between samples by a
+    parabola through the three largest. The command is that of one direction, or the sum of both, whichever
+    correlates best. It is valid if the correlation reaches 0.7 and falls by 0.02 towards both ends (not so
+    for a slow ramp). A lead of up to one sample is explained by the order of logging; a larger one is a
+    fault, since no coil leads its command. A lag above 0.1 s, ten times that of a coil, is a warning; any
+    other is a note.
+    """
+    record = context.record
+    findings = []
+    for role, unit in record.units.items():
+        is_skipped = role in COMMAND.values() or role == DISPLACEMENT or role not in record.signals
+        if is_skipped or UNITS[unit].dimension != "current" or record.kind == RAMP:
+            continue
+        choices = {f"the {direction} command": (direction,) for direction in record.directions} | {
+            "the commands": record.directions
+        }
+        lags = [
+            (fit[1], fit[0], name)
+            for name, directions in choices.items()
+            if (fit := _fit(context, directions, role))
+        ]
+        if not lags:
+            continue
+        _, lag, name = max(lags)
+        is_leading = -lag > LEAD_SAMPLES * record.step_s
+        is_late = lag > max(MAX_LAG_S, LEAD_SAMPLES * record.step_s)
+        severity = Severity.FAULT if is_leading else Severity.WARNING if is_late else Severity.NOTE
+        phrase = f"leads {name} by" if lag < 0 else f"lags behind {name} by"
+        advice = {
+            Severity.FAULT: "command and current are on different clocks: log both with one device",
+            Severity.WARNING: "check the current filter and the clocks; the lag becomes dead time",
+            Severity.NOTE: "no action needed: the lag is part of the model's dead time and time constant",
+        }[severity]
+        findings.append(
+            context.finding("lag", severity, f"{role} {phrase} {abs(lag):.4f} s", advice, signal=role)
+        )
+    return findings
+
+
+def _fit(context: RecordContext, directions: tuple[str, ...], role: str) -> tuple[float, float] | None:
+    """Return lag, s, and correlation of a current and a sum of commands; None without a sharp peak."""
+    active = context.any_active()
+    if not active.any():
+        return None
+    max_lag = round(min(LONGEST_LAG_S / context.record.step_s, MAX_LAGS))
+    first = max(0, int(np.argmax(active)) - 2 * max_lag)
+    window = slice(first, first + MAX_SAMPLES)
+    return lag_of(
+        np.sum([np.abs(context.record.command(direction)[window]) for direction in directions], axis=0),
+        context.record.signals[role][window],
+        step_s=context.record.step_s,
+    )
+
+
+def lag_of(command: np.ndarray, current: np.ndarray, *, step_s: float) -> tuple[float, float] | None:
+    """Return the lag of a current behind a command.
+
+    Args:
+        command, current: shape [N].
+        step_s: sampling time, s.
+
+    Returns:
+        The lag, s, negative where the current leads, and the correlation at it; None without a sharp peak.
+    """
+    max_lag = round(min(LONGEST_LAG_S / step_s, MAX_LAGS, command.size // 4))
+    if max_lag < 2:
+        return None
+    lags = np.arange(-max_lag, max_lag + 1)
+    with np.errstate(all="ignore"):
+        fit = _correlations(command, current, lags)
+    if not np.all(np.isfinite(fit)):
+        return None
+    peak = int(np.argmax(fit))
+    top = float(fit[peak])
+    if not 0 < peak < fit.size - 1 or top < LEAST_CORRELATION:
+        return None
+    if top - float(max(fit[0], fit[-1])) < LEAST_SHARPNESS:
+        return None
+    left_value, right_value = float(fit[peak - 1]), float(fit[peak + 1])
+    curvature = left_value - 2 * top + right_value
+    fraction = 0.5 * (left_value - right_value) / curvature if curvature < 0 else 0.0
+    return float(lags[peak] + fraction) * step_s, top
+
+
+def _correlations(command: np.ndarray, current: np.ndarray, lags: np.ndarray) -> np.ndarray:
+    """Return the correlation of c[k] and m[k + l] over the overlapping samples, for lags l, shape [L]."""
+    count = command.size
+    # Scaled to 1, so that rounding errors are not counted as variance.
+    a = (command - command.mean()) / np.max(np.abs(command - command.mean()))
+    b = (current - current.mean()) / np.max(np.abs(current - current.mean()))
+    length = 1 << int(count + lags.size).bit_length()
+    cross_spectrum = np.conj(np.fft.rfft(a, length)) * np.fft.rfft(b, length)
+    product = np.fft.irfft(cross_spectrum, length)[lags]
+    lead_samples, lag_samples = np.maximum(-lags, 0), np.maximum(lags, 0)
+
+    def sums(values: np.ndarray, first: np.ndarray, skipped: np.ndarray) -> np.ndarray:
+        total = np.concatenate([[0.0], np.cumsum(values)])
+        return total[count - skipped] - total[first]
+
+    overlap = count - np.abs(lags)
+    mean_a, mean_b = (
+        sums(a, lead_samples, lag_samples) / overlap,
+        sums(b, lag_samples, lead_samples) / overlap,
+    )
+    spread_a = sums(a * a, lead_samples, lag_samples) / overlap - mean_a * mean_a
+    spread_b = sums(b * b, lag_samples, lead_samples) / overlap - mean_b * mean_b
+    return (product / overlap - mean_a * mean_b) / np.sqrt(spread_a * spread_b)
+
+
+def motion_before_command(context: CampaignContext) -> list[AuditFinding]:
+    """Find tests in which the piston moves before any command changes.
+
+    Motion is a change above 6 σ + 2 q and 0.5 % of the campaign's range before a command first changes by 1 %
+    of full scale. Below 30 % of the record's speed under command it is creep: a warning. Else it is a fault
+    (the clocks differ) if at least two tests and half of those that begin at rest show it; else a warning.
+    Parts after a gap begin in motion and are left out.
+    """
+    tests = [test for test in context.tests if test.record.name.rpartition("@")[2] in ("1", test.record.name)]
+    onsets = [(test, _onset(test)) for test in tests]
+    from_rest = [(test, onset) for test, onset in onsets if onset is not None and onset >= FEWEST_BEFORE]
+    early = [
+        (test, onset, start) for test, onset in from_rest if (start := _motion_start(test, onset)) is not None
+    ]
+    at_speed = [entry for entry in early if not _creeps(*entry)]
+    clocks_disagree = len(at_speed) >= 2 and 2 * len(at_speed) >= len(from_rest)
+    findings = []
+    for test, onset, start in early:
+        creeping = _creeps(test, onset, start)
+        travelled = float(test.record.displacement[onset] - test.record.displacement[0])
+        verb = "creeps" if creeping else "moves"
+        lead_s = (onset - start) * test.record.step_s
+        findings.append(
+            test.finding(
+                "motion before command",
+                Severity.FAULT if clocks_disagree and not creeping else Severity.WARNING,
+                (
+                    f"the displacement {verb} by {travelled:.3g} {test.quality.unit} before any "
+                    f"command changes; the motion starts {lead_s:.3g} s before the command"
+                ),
+                "let the piston come to rest before a test"
+                if creeping
+                else "check that command and displacement are logged on one clock, or start tests at rest",
+                intervals=[(start, onset + 1)],
+            )
+        )
+    return findings
+
+
+def _onset(context: RecordContext) -> int | None:
+    """Return the sample at which a command, zero at first, changes; None where none does."""
+    record, firsts = context.record, []
+    for direction in record.directions:
+        command = record.command(direction)
+        changed = np.abs(command - command[0]) > CHANGED_FRACTION * context.scales[direction]
+        if context.active(direction)[0]:
+            return None
+        if changed.any():
+            firsts.append(int(np.argmax(changed)))
+    return min(firsts, default=None)
+
+
+def _motion_start(context: RecordContext, onset: int) -> int | None:
+    """Return the sample before the onset at which motion exceeds noise and 0.5 % of the range, or None."""
+    displacement = context.record.displacement[:onset]
+    rest = float(np.median(displacement[:FEWEST_BEFORE]))
+    threshold = max(context.quality.noise_bound, MIN_TRAVEL_FRACTION * context.campaign_range)
+    has_moved = np.abs(displacement - rest) > threshold
+    # A spike has returned by the onset of the command; motion has not.
+    return int(np.argmax(has_moved)) if has_moved[-1] and has_moved[-2] else None
+
+
+def _creeps(context: RecordContext, onset: int, start: int) -> bool:
+    displacement = context.record.displacement
+    window = max(1, min(onset, onset - start + FEWEST_BEFORE))
+    speed_before = abs(float(displacement[onset] - displacement[onset - window])) / window
+    # Net travel: noise would increase the sum of absolute changes.
+    total_travel = sum(abs(travel(context, direction)) for direction in context.record.directions)
+    working_speed = total_travel / max(1, int(np.count_nonzero(context.any_active())))
+    return bool(speed_before < CREEP_FRACTION * working_speed)

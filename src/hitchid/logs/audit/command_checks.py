@@ -1,0 +1,290 @@
+"""Checks of the commands: one valve at a time, and zero when idle."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hitchid._support.records import Severity, short_repr
+from hitchid.logs.audit.context import (
+    AuditFinding,
+    CampaignContext,
+    RecordContext,
+    command_unit,
+    join_names,
+    travel,
+    true_intervals,
+)
+from hitchid.logs.kinds import ACTIVE_FRACTION
+from hitchid.logs.record import COMMAND, CYCLE, DIRECTIONS, DISPLACEMENT, LIFTING, LOWERING, RAMP, Record
+
+# Check for a signed command that rests at a reading other than zero and moves the piston both ways.
+
+RESTING_FRACTION = 0.1  # of all samples; smallest share at the rest level (chosen)
+WORKING_FRACTION = 0.01  # of the time; smallest share above and below the rest level (chosen)
+BINS = 200  # bins of the histogram of a noisy command (chosen)
+CREEP_FRACTION = 0.2  # of the speed away from the rest level; largest speed at it (chosen)
+
+
+@short_repr
+class CommandResponse(NamedTuple):
+    """One log's signed command and displacement, each of shape [N], and its sampling time, s."""
+
+    command: np.ndarray
+    displacement: np.ndarray
+    step_s: float
+
+
+def rest_level(runs: Sequence[CommandResponse]) -> float | None:
+    """Return the neutral reading of a signed command; None where no reading meets the conditions.
+
+    The most frequent reading, with at least a tenth of all samples. Above and below it, by 5 % of the range
+    and for 1 % of the time each, the displacement must move in opposite directions, and at it less than a
+    fifth as fast as in either: this excludes a one-sided command with a frequent level.
+    """
+    commands = np.concatenate([run.command for run in runs])
+    command_range = float(np.ptp(commands))
+    if not 0 < command_range < np.inf:
+        return None
+    level, share = _most_frequent(commands)
+    if share < RESTING_FRACTION:
+        return None
+    band = ACTIVE_FRACTION * command_range
+    speeds = []
+    for inside in (
+        lambda c: c > level + band,
+        lambda c: c < level - band,
+        lambda c: np.abs(c - level) <= band,
+    ):
+        travel = sum(float(np.sum(np.diff(r.displacement)[inside(r.command[:-1])])) for r in runs)
+        duration_s = sum(np.count_nonzero(inside(r.command[:-1])) * r.step_s for r in runs)
+        if duration_s < WORKING_FRACTION * sum(r.command.size * r.step_s for r in runs):
+            return None
+        speeds.append(travel / duration_s)
+    above, below, at_rest = speeds
+    moving = min(abs(above), abs(below))
+    return level if above * below < 0 and abs(at_rest) < CREEP_FRACTION * moving else None
+
+
+def _most_frequent(samples: np.ndarray) -> tuple[float, float]:
+    """Return the most frequent value (of noisy samples the median of the fullest bin) and its share."""
+    values, counts = np.unique(samples, return_counts=True)
+    most_frequent = int(np.argmax(counts))
+    if counts[most_frequent] >= RESTING_FRACTION * samples.size:
+        return float(values[most_frequent]), float(counts[most_frequent] / samples.size)
+    filled, edges = np.histogram(samples, bins=BINS)
+    fullest = int(np.argmax(filled))
+    inside = samples[(samples >= edges[fullest]) & (samples <= edges[fullest + 1])]
+    return float(np.median(inside)), inside.size / samples.size
+
+
+def neutral(context: CampaignContext) -> list[AuditFinding]:
+    """Find a signed command that rests at a constant above 5 % of its largest reading.
+
+    Such a command has the sign of one direction even at rest: a fault where it never changes its sign, since
+    one direction is then missing, else a warning.
+    """
+    records = [test.record for test in context.tests]
+    signed = [_signed(record) for record in records]
+    if any(command is None for command in signed):
+        return []
+    runs = [
+        CommandResponse(command, record.displacement, record.step_s)
+        for command, record in zip(signed, records, strict=True)
+        if command is not None
+    ]
+    level, largest = rest_level(runs), max(context.scales.values())
+    if level is None or abs(level) <= ACTIVE_FRACTION * largest:
+        return []
+    unseen = all(np.min(run.command) * np.max(run.command) >= 0 for run in runs)
+    direction = LIFTING if LIFTING in records[0].directions else LOWERING
+    unit = command_unit(records[0], direction)
+    consequence = ", so one direction is identified from motion in both" if unseen else ""
+    what = (
+        f"the command rests at {level:.6g} {unit} and moves the piston in both directions about this value"
+        f"{consequence}"
+    )
+    advice = f"set zero = {level:.6g} for the command's column in campaign.toml"
+    severity = Severity.FAULT if unseen else Severity.WARNING
+    return [AuditFinding("neutral", severity, "", COMMAND[direction], (), what, advice)]
+
+
+def _signed(record: Record) -> np.ndarray | None:
+    """Return lifting less lowering command, shape [N]; None where both are on at once."""
+    commands = [record.command(direction) for direction in record.directions]
+    if len(commands) == 1:
+        return commands[0] if record.directions == (LIFTING,) else -commands[0]
+    lifting, lowering = commands
+    return None if np.any((lifting != 0) & (lowering != 0)) else lifting - lowering
+
+
+# Check of polarity: lifting raises the displacement and lowering reduces it, over all tests.
+
+CLEAR_FRACTION = 0.02  # of the campaign's range; smallest travel with a sign (chosen)
+CLEAR_OF_TYPICAL = 0.25  # of the median travel; smallest opposite travel of a test (chosen)
+
+
+def signs(context: CampaignContext) -> list[AuditFinding]:
+    """Find directions whose displacement has the wrong sign.
+
+    The sign of a direction is that of the median travel of its tests while only its command is on, where the
+    travel exceeds 6 σ + 2 q and 2 % of the campaign's range. A test of opposite sign, by a quarter of the
+    median travel, is a fault of that test; equal signs of both directions are a fault of the campaign. Both
+    signs reversed are a warning: either the sensor measures downwards, which identification allows, or the
+    commands are swapped.
+    """
+    findings: list[AuditFinding] = []
+    majority_sign: dict[str, int] = {}
+    for direction in context.tests[0].record.directions:
+        travels = _travels(context, direction)
+        if not travels:
+            continue
+        majority_sign[direction] = (
+            1 if np.median([signed_travel for _, signed_travel in travels]) >= 0 else -1
+        )
+        typical = abs(float(np.median([signed_travel for _, signed_travel in travels])))
+        opposed = [
+            (test, signed_travel)
+            for test, signed_travel in travels
+            if signed_travel * majority_sign[direction] < -CLEAR_OF_TYPICAL * typical
+        ]
+        if len(travels) >= 3 and 2 * len(opposed) < len(travels):
+            findings += [
+                _contradicting(test, direction, signed_travel, len(travels))
+                for test, signed_travel in opposed
+            ]
+        elif opposed:
+            findings.append(_inconsistent(direction, opposed, len(travels)))
+    return findings + _compare_directions(majority_sign)
+
+
+def _travels(context: CampaignContext, direction: str) -> list[tuple[RecordContext, float]]:
+    """Return the tests with significant travel under a direction, and that travel."""
+    travels = []
+    for test in context.tests:
+        if test.record.kind not in (direction, CYCLE, RAMP):
+            continue
+        signed_travel = travel(test, direction)
+        if abs(signed_travel) > max(test.quality.noise_bound, CLEAR_FRACTION * test.campaign_range):
+            travels.append((test, signed_travel))
+    return travels
+
+
+def _verb(sign: float | int) -> str:
+    return "increases" if sign > 0 else "decreases"
+
+
+def _contradicting(context: RecordContext, direction: str, signed_travel: float, tests: int) -> AuditFinding:
+    what = (
+        f"the displacement {_verb(signed_travel)} by {abs(signed_travel):.4g} {context.quality.unit} while "
+        f"{direction} is commanded; in most of the {tests} tests of {direction} it {_verb(-signed_travel)}"
+    )
+    advice = "check the sign of the displacement and the assignment of the commands in this log, or remove it"
+    return context.finding("sign", Severity.FAULT, what, advice)
+
+
+def _inconsistent(direction: str, opposed: list[tuple[RecordContext, float]], tests: int) -> AuditFinding:
+    names = join_names([test.record.name for test, _ in opposed])
+    verb, others = _verb(opposed[0][1]), _verb(-opposed[0][1])
+    what = (
+        f"in {direction} the displacement {verb} in {len(opposed)} of {tests} tests ({names}) "
+        f"and {others} in the others"
+    )
+    advice = "check the sign of the displacement and the assignment of the commands in each test"
+    return AuditFinding("sign", Severity.FAULT, "", DISPLACEMENT, (), what, advice)
+
+
+def _compare_directions(majority_sign: dict[str, int]) -> list[AuditFinding]:
+    if set(majority_sign) != set(DIRECTIONS) or majority_sign == {LIFTING: 1, LOWERING: -1}:
+        return []
+    if majority_sign[LIFTING] == majority_sign[LOWERING]:
+        what = f"the displacement {_verb(majority_sign[LIFTING])} in lifting and in lowering"
+        advice = f"check the columns assigned to {COMMAND[LIFTING]} and {COMMAND[LOWERING]} in campaign.toml"
+        return [AuditFinding("sign", Severity.FAULT, "", DISPLACEMENT, (), what, advice)]
+    what = "the displacement decreases in lifting and increases in lowering"
+    advice = (
+        "this is correct for a sensor that measures downwards: each direction is identified as measured; "
+        "otherwise swap the commands in campaign.toml, or reverse the sign of one signal: set scale = -1 "
+        "for its column"
+    )
+    return [AuditFinding("sign", Severity.WARNING, "", DISPLACEMENT, (), what, advice)]
+
+
+SHORT_OVERLAP_S = 0.1  # s; overlap that filters and ramps of a controller cause at a change of direction
+IDLE_FRACTION = 0.01  # of full scale; smallest bias or sensor offset reported (chosen)
+
+
+def both_valves(context: RecordContext) -> list[AuditFinding]:
+    """Find where both commands are above 5 % of full scale.
+
+    Filters and ramps of a controller overlap by up to 0.1 s at a change of direction: a note. With a longer
+    overlap the motion cannot be assigned to one direction: a warning.
+    """
+    record = context.record
+    if len(record.directions) < 2:
+        return []
+    both_active = context.active(record.directions[0])
+    both_active &= context.active(record.directions[1])
+    starts, stops = true_intervals(both_active)
+    if starts.size == 0:
+        return []
+    longest = int(np.max(stops - starts)) * record.step_s
+    time = int(np.sum(stops - starts)) * record.step_s
+    return [
+        context.finding(
+            "both valves",
+            Severity.NOTE if longest <= SHORT_OVERLAP_S else Severity.WARNING,
+            f"both commands are active {starts.size} time{'s' * (starts.size > 1)}, {time:.3g} s in total, "
+            f"at most {longest:.3g} s at once, first at {record.start_s + starts[0] * record.step_s:.6g} s",
+            "end one command before the other starts; in an overlap the lowering command is used",
+            signal="",
+            intervals=list(zip(starts.tolist(), stops.tolist(), strict=True)),
+        )
+    ]
+
+
+def idle_commands(context: CampaignContext) -> list[AuditFinding]:
+    """Find commands that are not zero when idle.
+
+    A warning if the smallest |c| of all logs is above 5 % of full scale: the command is never off, as with a
+    4–20 mA signal, and the dead zone is measured from a wrong zero. Else a note if the median of |c| without
+    command is above 1 % of full scale: a bias or a sensor's offset.
+    """
+    findings = []
+    for direction in context.tests[0].record.directions:
+        scale = context.scales[direction]
+        smallest = min(float(np.min(np.abs(test.record.command(direction)))) for test in context.tests)
+        if not scale > 0:
+            continue
+        unit = command_unit(context.tests[0].record, direction)
+        if smallest > ACTIVE_FRACTION * scale:
+            what = (
+                f"the {direction} command is never below {smallest:.3g} {unit} in any log, "
+                f"{smallest / scale:.0%} of the largest"
+            )
+            advice = (
+                "subtract the offset from the command, or log one test that starts at command "
+                "zero: the offset makes the dead zone too large"
+            )
+            findings.append(
+                AuditFinding("idle command", Severity.WARNING, "", COMMAND[direction], (), what, advice)
+            )
+            continue
+        levels = [
+            float(np.median(idle)) for test in context.tests if (idle := _idle_command(test, direction)).size
+        ]
+        level = float(np.median(levels)) if levels else 0.0
+        if level > IDLE_FRACTION * scale:
+            what = f"the idle {direction} command is {level:.3g} {unit}, {level / scale:.1%} of full scale"
+            advice = "check the zero of the current sensor and the bias of the valve"
+            findings.append(
+                AuditFinding("idle command", Severity.NOTE, "", COMMAND[direction], (), what, advice)
+            )
+    return findings
+
+
+def _idle_command(context: RecordContext, direction: str) -> np.ndarray:
+    """Return |c| where no direction is active, shape [M]; empty for a ramp, which crosses zero."""
+    if context.record.kind == RAMP:
+        return np.zeros(0)
+    return np.abs(context.record.command(direction)[~context.any_active()])

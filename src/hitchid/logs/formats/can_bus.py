@@ -1,0 +1,259 @@
+"""From the frames of a log to the requested channels."""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from hitchid.errors import LogError
+from hitchid.logs.content import ChannelSelection, Content, LogChannel, format_names, match_channels
+from hitchid.logs.formats.can_database import (
+    CanMessage,
+    CanSignal,
+    Databases,
+    node,
+    parameter_group,
+    read_databases,
+)
+from hitchid.logs.formats.can_streams import (
+    BusTraffic,
+    Frame,
+    Payload,
+    Stream,
+    available,
+    collect_streams,
+    frames_with_signal,
+    physical_values,
+    raw_numbers,
+)
+
+
+class _SignalLocation(NamedTuple):
+    """Stream and signal of one channel."""
+
+    stream: Stream
+    signal: CanSignal
+
+
+def read_bus(frames: Iterable[Frame], source: Path, selection: ChannelSelection) -> Content:
+    """Decode the selected signals of the frames of a log.
+
+    A channel's full name is `Message/Signal`. A message on several buses, or from several J1939 nodes, has
+    channels for each: `Message@can2/Signal`, `Message@0x03/Signal` or `Message@can2@0x03/Signal`. The long
+    names are always accepted, a shorter one if it is unique.
+
+    Messages are matched by id. Those of J1939 and ISO 11783 are matched by parameter group, from any node, at
+    any priority, to any destination, without samples that are 'not available' by J1939. They are marked in
+    the database (`VFrameFormat` J1939PG, or `ProtocolType` for the whole database); in a database without
+    marks they are also those whose id ends in 0xFE, the null address, unless that very id is in the log.
+    Other 29-bit ids are matched exactly: their low byte distinguishes messages, not nodes. If several
+    databases define one id, the requested name decides.
+
+    Messages of several frames (J1939 transport protocol) are not reassembled.
+
+    Args:
+        frames: in the order of the log.
+        source: the log.
+        selection: the requested signals; None selects every signal in the log.
+
+    Raises:
+        LogError: a database is missing or unreadable, or a requested signal is missing or never valid.
+    """
+    databases = read_databases(selection.databases, source)
+    traffic = collect_streams(frames, databases.messages, _message_filter(selection))
+    if not traffic.frame_count:
+        raise LogError(source, "holds no CAN frames with data")
+    locations, aliases = _channel_names(traffic.streams)
+    matches = _match_requested(source, selection, aliases, databases, traffic, list(locations))
+    bus_reader = _BusReader(
+        source, traffic.first_s, {requested: locations[name] for requested, name in matches.items()}
+    )
+    channels, notices = bus_reader.channels(required=selection.signals is not None)
+    if not channels:
+        raise LogError(source, f"none of its {traffic.frame_count} frames holds a signal of the DBC files")
+    return Content(source, channels, (*databases.notices, *_frame_notices(traffic), *notices))
+
+
+def _message_filter(selection: ChannelSelection) -> Callable[[CanMessage], bool]:
+    """Return a function that returns whether a message may hold a requested signal."""
+    if selection.signals is None:
+        return lambda _: True
+    signal_names = {requested.rpartition("/")[2] for requested in (selection.time, *selection.signals)}
+    return lambda message: any(signal.name in signal_names for signal in message.signals)
+
+
+def _channel_names(streams: Sequence[Stream]) -> tuple[dict[str, _SignalLocation], dict[str, list[str]]]:
+    """Return full name to location, and every alias to the full names it may stand for."""
+    buses = Counter(name for name, _ in {(bus_stream.message.name, bus_stream.bus) for bus_stream in streams})
+    nodes = Counter(
+        name for name, _ in {(node_stream.message.name, node_stream.node) for node_stream in streams}
+    )
+    locations: dict[str, _SignalLocation] = {}
+    aliases: dict[str, list[str]] = {}
+    for stream in streams:
+        name = stream.message.name
+        bus_suffix, node_suffix = f"@can{stream.bus}", "" if stream.node is None else f"@{stream.node:#04x}"
+        full_name = name + (bus_suffix if buses[name] > 1 else "") + (node_suffix if nodes[name] > 1 else "")
+        for signal in stream.message.signals:
+            locations[f"{full_name}/{signal.name}"] = _SignalLocation(stream, signal)
+            for alias in {name, name + bus_suffix, name + node_suffix, name + bus_suffix + node_suffix}:
+                aliases.setdefault(f"{alias}/{signal.name}", []).append(f"{full_name}/{signal.name}")
+    return locations, aliases
+
+
+def _match_requested(
+    source: Path,
+    selection: ChannelSelection,
+    aliases: dict[str, list[str]],
+    databases: Databases,
+    traffic: BusTraffic,
+    names: list[str],
+) -> dict[str, str]:
+    """Return requested name to full name, as `match_channels` does."""
+    if selection.signals is None:
+        return match_channels(source, names, selection, has_clocks=True)
+    matches: dict[str, str] = {}
+    for requested in dict.fromkeys((selection.time, *selection.signals)):
+        candidates = aliases.get(requested, [])
+        if len(candidates) > 1:
+            raise LogError(
+                source,
+                f"several channels have this name; use the full name: {format_names(candidates)}",
+                column=requested,
+            )
+        if candidates:
+            matches[requested] = candidates[0]
+        elif requested != selection.time and requested not in {name.rpartition("/")[2] for name in names}:
+            _check_not_in_log(source, requested, databases.messages, traffic)
+    remaining = selection._replace(
+        signals=tuple(requested for requested in selection.signals if requested not in matches)
+    )
+    matches |= match_channels(source, names, remaining, has_clocks=True)
+    return {
+        requested: matches[requested]
+        for requested in dict.fromkeys((selection.time, *selection.signals))
+        if requested in matches
+    }
+
+
+def _check_not_in_log(
+    source: Path, requested: str, messages: Sequence[CanMessage], traffic: BusTraffic
+) -> None:
+    """Raise `LogError` if a channel is in a database but its message is not in the log."""
+    for message in messages:
+        if requested not in {
+            name for signal in message.signals for name in (signal.name, f"{message.name}/{signal.name}")
+        }:
+            continue
+        problem = (
+            f"the message '{message.name}' of this signal, id {message.identifier:#x}, is not in the log"
+        )
+        group = parameter_group(message.identifier)
+        nodes = [
+            f"{node(identifier):#04x}"
+            for identifier in sorted(traffic.extended_ids)
+            if parameter_group(identifier) == group
+        ]
+        if message.extended and nodes:
+            problem += (
+                f"; frames with its PGN {group} are in the log, from source address {format_names(nodes)}"
+            )
+        if message.extended and nodes and not message.is_j1939:
+            problem += ": if the bus is J1939, set VFrameFormat 'J1939PG' in the DBC file"
+        raise LogError(source, problem, column=requested)
+
+
+class _FrameBlock(NamedTuple):
+    """Frames of one stream: their times, s, and their bytes."""
+
+    clock_s: np.ndarray
+    payload: Payload
+
+
+@dataclass(frozen=True)
+class _BusReader:
+    """Decoder of the requested channels: the log, its first stamp, the location of each."""
+
+    source: Path
+    first_s: float
+    locations: dict[str, _SignalLocation]
+
+    def channels(self, *, required: bool) -> tuple[dict[str, LogChannel], list[str]]:
+        """Return channels and notices; a channel without a valid sample is an error if `required`."""
+        channels: dict[str, LogChannel] = {}
+        notices, empty = list(self._stream_notices()), []
+        blocks = {
+            id(location.stream): _frame_block(location.stream, self.first_s)
+            for location in self.locations.values()
+        }
+        clocks: dict[tuple[int, bytes], np.ndarray] = {}
+        for requested, location in self.locations.items():
+            block = blocks[id(location.stream)]
+            values, present, unavailable_count = _decode(block.payload, location)
+            if not values.size:
+                if required:
+                    raise LogError(self.source, _empty_reason(location, unavailable_count), column=requested)
+                empty.append(requested)
+                continue
+            if unavailable_count:
+                total = values.size + unavailable_count
+                notices.append(
+                    f"'{requested}': {unavailable_count} of {total} samples are left out: not valid in J1939"
+                )
+            # Channels on one clock share one array: the record is cut and resampled by clocks.
+            key = id(location.stream), np.packbits(present).tobytes()
+            clock_s = clocks.setdefault(key, block.clock_s if present.all() else block.clock_s[present])
+            channels[requested] = LogChannel(values, location.signal.unit, clock_s)
+        if empty:
+            notices.append(f"left out because no sample is valid: {format_names(empty)}")
+        return channels, notices
+
+    def _stream_notices(self) -> Iterator[str]:
+        for stream in {id(location.stream): location.stream for location in self.locations.values()}.values():
+            name, count = stream.message.name, stream.short_count + len(stream.frames)
+            if stream.short_count:
+                yield (
+                    f"'{name}': {stream.short_count} of {count} frames are left out: shorter than "
+                    f"{stream.message.length} bytes"
+                )
+            if stream.j1939_assumed:
+                identifier = stream.message.identifier
+                yield (
+                    f"'{name}' was matched by its PGN {parameter_group(identifier)}, from source address "
+                    f"{stream.node:#04x}: the id in the DBC file, {identifier:#x}, has the null address"
+                )
+
+
+def _frame_block(stream: Stream, first_s: float) -> _FrameBlock:
+    length = stream.message.length
+    stamps = np.array([stamp_s for stamp_s, _ in stream.frames], dtype=np.float64)
+    all_bytes = b"".join(data[:length] for _, data in stream.frames)
+    return _FrameBlock(
+        stamps - first_s, np.frombuffer(all_bytes, dtype=np.uint8).reshape(stamps.size, length)
+    )
+
+
+def _decode(payload: Payload, location: _SignalLocation) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return a signal's values, the mask of their frames, and the count of samples invalid by J1939."""
+    present = frames_with_signal(payload, location.signal, location.stream.message)
+    raw = raw_numbers(payload, location.signal)
+    present_count = int(present.sum())
+    if location.stream.node is not None:
+        present &= available(raw, location.signal)
+    return physical_values(raw[present], location.signal), present, present_count - int(present.sum())
+
+
+def _empty_reason(location: _SignalLocation, unavailable_count: int) -> str:
+    if unavailable_count:
+        return f"all {unavailable_count} samples are 'not available' or 'error' in J1939"
+    if location.stream.frames:
+        return "no frame contains it: its multiplexer never selects it"
+    return f"all frames of its message are shorter than {location.stream.message.length} bytes"
+
+
+def _frame_notices(traffic: BusTraffic) -> Iterator[str]:
+    if traffic.without_data:
+        yield f"{traffic.without_data} error and remote frames are left out"

@@ -1,0 +1,377 @@
+"""From frames to streams: the message and the sending node of each frame."""
+
+import re
+import struct
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64, UInt8, UInt64
+
+from hitchid.errors import LogError
+from hitchid.logs.formats.can_database import NULL_ADDRESS, CanMessage, CanSignal, node, parameter_group
+
+# Completeness of a BLF log: python-can reads a truncated log without an error.
+
+# Signature, size of the header, size of the file.
+HEADER = struct.Struct("<4sL8xQ")
+# Signature, sizes of the header and of the object, kind.
+OBJECT = struct.Struct("<4s4xLL")
+# Compression method, uncompressed length.
+CONTAINER = struct.Struct("<H6xL4x")
+OBJECT_SIGNATURE = b"LOBJ"
+PADDING = 4  # bytes; objects begin at multiples of it
+CONTAINER_KIND, UNCOMPRESSED, DEFLATED = 10, 0, 2  # kind of object; compression methods
+# Kinds of objects that python-can returns: frames, two of CAN FD, errors.
+FRAME_KINDS = frozenset((1, 86, 100, 101, 73))
+
+
+class Inventory(NamedTuple):
+    """Content of a BLF log.
+
+    Attributes:
+        frame_count: number of frames, error frames included.
+        closed: whether the recording was closed; only then can a missing end be detected.
+    """
+
+    frame_count: int
+    closed: bool
+
+
+def inventory(path: Path) -> Inventory:
+    """Count the frames of a BLF log and check its structure.
+
+    Args:
+        path: the log.
+
+    Raises:
+        LogError: the file is not a BLF log, was cut short, or has no object where one is expected.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        start = stream.read(HEADER.size)
+        if len(start) < HEADER.size or not start.startswith(b"LOGG"):
+            raise LogError(path, "cannot be read as a CAN log: it does not start as a BLF file")
+        _, header, stated_size = HEADER.unpack(start)
+        if size < max(header, stated_size):
+            raise LogError(path, f"is truncated: holds {size} of {max(header, stated_size)} bytes")
+        stream.seek(header)
+        frame_count = _count_frames(path, stream)
+    return Inventory(frame_count, closed=size - stated_size < PADDING)
+
+
+def _count_frames(path: Path, stream: BinaryIO) -> int:
+    count, rest = 0, b""
+    for kind, content in _iterate_objects(path, stream):
+        count += kind in FRAME_KINDS
+        if kind == CONTAINER_KIND:
+            container_count, rest = _count_container_frames(path, rest + _unpack(path, content))
+            count += container_count
+    if rest.strip(b"\0"):
+        raise LogError(path, "is truncated: it ends within a frame")
+    return count
+
+
+def _iterate_objects(path: Path, stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
+    """Yield kind and content of each top-level object."""
+    while start := stream.read(OBJECT.size):
+        if len(start) < OBJECT.size:
+            raise LogError(path, "is truncated: it ends within the start of an object")
+        signature, length, kind = OBJECT.unpack(start)
+        if signature != OBJECT_SIGNATURE or length < OBJECT.size:
+            position = stream.tell() - OBJECT.size
+            raise LogError(path, f"cannot be read as a CAN log: there is no object at byte {position}")
+        content = stream.read(length - OBJECT.size)
+        if len(content) < length - OBJECT.size:
+            raise LogError(path, "is truncated: it ends within an object")
+        stream.read(length % PADDING)
+        yield kind, content
+
+
+def _unpack(path: Path, content: bytes) -> bytes:
+    if len(content) < CONTAINER.size:
+        raise LogError(path, "cannot be read as a CAN log: a container is shorter than its header")
+    method, length = CONTAINER.unpack_from(content)
+    packed = content[CONTAINER.size :]
+    if method not in (UNCOMPRESSED, DEFLATED):
+        raise LogError(path, f"cannot be read as a CAN log: its compression, number {method}, is not known")
+    try:
+        # A damaged file must not unpack to more than the stated length.
+        unpacked = zlib.decompressobj().decompress(packed, length + 1) if method == DEFLATED else packed
+    except zlib.error as error:
+        raise LogError(path, f"cannot be read as a CAN log: {error}") from error
+    if len(unpacked) != length:
+        raise LogError(
+            path, f"cannot be read as a CAN log: a container holds {len(unpacked)} bytes, expected {length}"
+        )
+    return unpacked
+
+
+def _count_container_frames(path: Path, data: bytes) -> tuple[int, bytes]:
+    """Return the number of frames in a container, and the beginning of a frame that the next continues."""
+    count, position = 0, 0
+    while True:
+        start = data.find(OBJECT_SIGNATURE, position, position + 2 * PADDING)
+        if start < 0 and len(data) - position >= 2 * PADDING:
+            raise LogError(path, "cannot be read as a CAN log: an expected object is missing")
+        if start < 0 or start + OBJECT.size > len(data):
+            return count, data[position:]
+        _, length, kind = OBJECT.unpack_from(data, start)
+        if length < OBJECT.size:
+            raise LogError(path, "cannot be read as a CAN log: an object is shorter than its header")
+        if start + length > len(data):
+            return count, data[start:]
+        count += kind in FRAME_KINDS
+        position = start + length
+
+
+# From the bytes of frames to the numbers of one signal.
+
+Payload = UInt8[np.ndarray, "frames bytes"]
+
+
+def raw_numbers(payload: Payload, signal: CanSignal) -> UInt64[np.ndarray, " frames"]:
+    """Return the bits of a signal in each frame as an unsigned number.
+
+    All frames at once, without cantools: it refuses a whole frame for one multiplexer value that is not in
+    the database, and takes several microseconds a frame.
+    """
+    positions = signal.bit_positions
+    first, last = int(positions.min()) // 8, int(positions.max()) // 8
+    bits = np.unpackbits(payload[:, first : last + 1], axis=1, bitorder="little")[:, positions - 8 * first]
+    packed = np.packbits(bits, axis=1, bitorder="little")
+    padded = np.zeros((len(payload), 8), dtype=np.uint8)
+    padded[:, : packed.shape[1]] = packed
+    return padded.view("<u8")[:, 0].astype(np.uint64)
+
+
+def physical_values(raw: UInt64[np.ndarray, " frames"], signal: CanSignal) -> Float64[np.ndarray, " frames"]:
+    """Return raw numbers in the unit of the signal."""
+    return _as_typed(raw, signal).astype(np.float64) * signal.scale + signal.offset
+
+
+def _as_typed(raw: np.ndarray, signal: CanSignal) -> np.ndarray:
+    if signal.is_float:
+        size = signal.length // 8
+        return raw.astype(f"u{size}").view(f"f{size}")
+    if signal.signed:
+        unused = np.uint64(64 - signal.length)
+        return (raw << unused).view(np.int64) >> unused.astype(np.int64)
+    return raw
+
+
+def frames_with_signal(
+    payload: Payload, signal: CanSignal, message: CanMessage
+) -> Bool[np.ndarray, " frames"]:
+    """Return which frames hold a signal, by their multiplexer values."""
+    by_name = {candidate.name: candidate for candidate in message.signals}
+    present = np.ones(len(payload), dtype=bool)
+    # At most as many steps as there are signals: a damaged database may let a multiplexer select itself.
+    for _ in message.signals:
+        if signal.multiplexer is None:
+            break
+        if signal.multiplexer not in by_name:
+            return np.zeros(len(payload), dtype=bool)
+        multiplexer = by_name[signal.multiplexer]
+        present &= np.isin(
+            raw_numbers(payload, multiplexer), np.array(signal.multiplexer_values, dtype=np.uint64)
+        )
+        signal = multiplexer
+    return present
+
+
+def available(raw: UInt64[np.ndarray, " frames"], signal: CanSignal) -> Bool[np.ndarray, " frames"]:
+    """Return which raw numbers of a J1939 signal are valid.
+
+    In unsigned signals of 1 to 4 bytes 0xFF.. is 'not available', 0xFE.. an error, and the rest from 0xFB..
+    on reserved. In 2 to 7 bits all ones is 'not available' and one less an error. In all others only all ones
+    is invalid, and a single bit is always valid.
+
+    Source: SAE J1939-71, ranges of transmitted signals.
+    """
+    all_ones = 2**signal.length - 1
+    if signal.length == 1:
+        return np.ones(raw.size, dtype=bool)
+    if signal.signed or signal.is_float:
+        return raw != np.uint64(all_ones)
+    if signal.length in (8, 16, 24, 32):
+        return raw < np.uint64(0xFB << (signal.length - 8))
+    return raw < np.uint64(all_ones - 1 if signal.length < 8 else all_ones)
+
+
+class Frame(NamedTuple):
+    """One frame of a log.
+
+    Attributes:
+        stamp_s: time, s, from any origin.
+        bus: number of the bus in the log.
+        identifier: 11 or 29 bits.
+        extended: whether the identifier has 29 bits.
+        data: its bytes, empty if some are missing; None for an error or a remote frame.
+    """
+
+    stamp_s: float
+    bus: int
+    identifier: int
+    extended: bool
+    data: bytes | None
+
+
+@dataclass
+class Stream:
+    """The frames one node sends of one message on one bus; `node` and `j1939_assumed` as `MessageMatch` has
+    them."""
+
+    message: CanMessage
+    bus: int
+    node: int | None
+    j1939_assumed: bool
+    frames: list[tuple[float, bytes]] = field(default_factory=list)
+    short_count: int = 0
+
+
+class MessageMatch(NamedTuple):
+    """A possible message of an id, the sending node by J1939, and whether J1939 is only assumed."""
+
+    message: CanMessage
+    node: int | None
+    j1939_assumed: bool
+
+
+def _message_matcher(messages: Sequence[CanMessage]) -> Callable[[int, bool], list[MessageMatch]]:
+    """Return a function from an id to its possible messages."""
+    exact: dict[tuple[int, bool], list[CanMessage]] = {}
+    groups: dict[tuple[int, bool], list[CanMessage]] = {}
+    for message in messages:
+        if not message.is_j1939:
+            exact.setdefault((message.identifier, message.extended), []).append(message)
+        if message.is_j1939 or message.maybe_j1939:
+            groups.setdefault((parameter_group(message.identifier), message.maybe_j1939), []).append(message)
+
+    def matches(identifier: int, extended: bool) -> list[MessageMatch]:
+        candidates = [MessageMatch(message, None, False) for message in exact.get((identifier, extended), [])]
+        if extended:
+            for maybe_j1939 in (False, True):
+                group = groups.get((parameter_group(identifier), maybe_j1939), [])
+                node_messages = _messages_of_node(group, node(identifier))
+                accepted = [
+                    message
+                    for message in node_messages
+                    if not (maybe_j1939 and message.identifier == identifier)
+                ]
+                candidates += [MessageMatch(message, node(identifier), maybe_j1939) for message in accepted]
+        return candidates
+
+    return matches
+
+
+class BusTraffic(NamedTuple):
+    """Content of a log: streams, 29-bit ids, first stamp, counts of frames without and with data."""
+
+    streams: list[Stream]
+    extended_ids: set[int]
+    first_s: float
+    without_data: int
+    frame_count: int
+
+
+def collect_streams(
+    frames: Iterable[Frame], messages: Sequence[CanMessage], message_filter: Callable[[CanMessage], bool]
+) -> BusTraffic:
+    """Sort the frames of the messages that pass the filter into streams; of the others, record the ids."""
+    matches = _message_matcher(messages)
+    streams: dict[tuple[str, int, int | None, bool], Stream] = {}
+    routes: dict[tuple[int, bool, int], list[Stream]] = {}
+    first_s, without_data, count = 0.0, 0, 0
+    for frame in frames:
+        stamp_s, bus, identifier, extended, data = frame
+        if data is None:
+            without_data += 1
+            continue
+        if not count:
+            first_s = stamp_s
+        count += 1
+        targets = routes.get((bus, extended, identifier))
+        if targets is None:
+            matched_streams = [
+                streams.setdefault(
+                    (message_match.message.name, bus, *message_match[1:]),
+                    Stream(message_match.message, bus, *message_match[1:]),
+                )
+                for message_match in matches(identifier, extended)
+            ]
+            targets = routes[bus, extended, identifier] = [
+                candidate for candidate in matched_streams if message_filter(candidate.message)
+            ]
+        for stream in targets:
+            if len(data) < stream.message.length:
+                stream.short_count += 1
+            else:
+                stream.frames.append((stamp_s, data))
+    ids = {identifier for _, extended, identifier in routes if extended}
+    return BusTraffic(_without_assumed_duplicates(list(streams.values())), ids, first_s, without_data, count)
+
+
+def _without_assumed_duplicates(streams: Sequence[Stream]) -> list[Stream]:
+    """Remove streams assumed to be a message whose exact id is in the log."""
+    exact_names = {stream.message.name for stream in streams if not stream.j1939_assumed}
+    return [stream for stream in streams if not (stream.j1939_assumed and stream.message.name in exact_names)]
+
+
+def _messages_of_node(group: Sequence[CanMessage], address: int) -> list[CanMessage]:
+    """Return the definitions of one parameter group that apply to a node."""
+    exact = [message for message in group if node(message.identifier) == address]
+    any_node = [message for message in group if node(message.identifier) == NULL_ADDRESS]
+    # A definition for one node applies to all nodes if it is the only one in the database.
+    shared = list(group) if len({node(message.identifier) for message in group}) == 1 else []
+    return exact or any_node or shared
+
+
+# Logs of candump, of the SocketCAN utilities: its log file and what it prints with absolute times.
+
+LONGEST_LINE = 400  # characters; printed with their text, 64 bytes take 310
+HEAD_LINES = 20  # lines among which a log has its first frame (chosen)
+ERROR_FRAME = 0x20000000  # flag in the id; linux/can.h
+LINE = re.compile(
+    r"\s*\((?P<stamp>\d+\.\d+)\)\s+(?P<bus>\S+)\s+(?:[RT]X\b.*?\s)?(?P<id>[0-9A-Fa-f]{3,8})"
+    r"(?:#(?:#[0-9A-Fa-f])?(?:R\d?|(?P<packed>(?:[0-9A-Fa-f]{2}\.?)*))(?:\s+[RT])?"
+    r"|\s+\[\d+\]\s+(?:remote request|(?P<spaced>[0-9A-Fa-f]{2}(?:\s+[0-9A-Fa-f]{2})*)?(?:\s+'.*')?))\s*"
+)
+
+
+def is_candump(path: Path) -> bool:
+    """Return whether one of the first lines of a file is a frame as candump writes it."""
+    with path.open(encoding="latin-1") as stream:
+        return any(
+            LINE.fullmatch(line)
+            for line in islice(iter(lambda: stream.readline(LONGEST_LINE), ""), HEAD_LINES)
+        )
+
+
+def candump_frames(lines: Iterable[str], notices: list[str]) -> Iterator[Frame]:
+    """Yield the frames of a log.
+
+    Args:
+        lines: of the log, each with its line end.
+        notices: gets a message on lines that are no frames, such as a cut one.
+    """
+    others: list[int] = []
+    for number, line in enumerate(lines, start=1):
+        match = LINE.fullmatch(line)
+        # A cut frame may look complete: its last bytes may be missing.
+        if match is None or not line.endswith("\n"):
+            others += [number] if line.strip() else []
+            continue
+        identifier, bus = int(match["id"], 16), re.search(r"\d+$", match["bus"])
+        text = match["packed"] if match["packed"] is not None else match["spaced"]
+        is_data = text is not None and not identifier & ERROR_FRAME
+        data = bytes.fromhex(text.replace(".", "")) if is_data and text else b"" if is_data else None
+        yield Frame(float(match["stamp"]), int(bus[0]) if bus else 0, identifier, len(match["id"]) > 3, data)
+    if others:
+        notices.append(
+            f"left out: {len(others)} lines that are no complete frames, the first is line {others[0]}"
+        )

@@ -1,0 +1,122 @@
+"""Functions shared by the readers of optional formats: import of the library, damaged files, names."""
+
+import importlib
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from hitchid.errors import LogError
+from hitchid.logs.content import ChannelSelection, match_channels
+
+MAX_COLUMNS = 1000  # of a table; wider arrays are pictures or maps (chosen)
+DISTRIBUTIONS = {"can": "python-can", "nptdms": "npTDMS"}
+
+
+def import_optional(module: str, extra: str, path: Path, purpose: str = "read") -> ModuleType:
+    """Return an optional module.
+
+    Args:
+        module: its name.
+        extra: the extra of this package that installs it.
+        path: the file it is needed for.
+        purpose: `read` or `write`, for the message.
+
+    Raises:
+        LogError: the module is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        package = module.partition(".")[0]
+        library = DISTRIBUTIONS.get(package, package)
+        raise LogError(
+            path, f"{library} is required to {purpose} it: pip install 'hitchid[{extra}]'"
+        ) from error
+
+
+@contextmanager
+def as_log_errors(path: Path, kind: str) -> Iterator[None]:
+    """Turn any exception of a library into an error that names the file.
+
+    Raises:
+        LogError: the file cannot be read as `kind`.
+    """
+    try:
+        yield
+    except (LogError, MemoryError):
+        raise
+    except Exception as error:  # libraries raise anything on damaged files, down to AttributeError
+        detail = str(error) or type(error).__name__
+        raise LogError(path, f"cannot be read as {kind}: {detail}") from error
+
+
+def match_clocked_channels(
+    source: Path, names: Sequence[str], selection: ChannelSelection, clocked: Collection[str]
+) -> dict[str, str]:
+    """Return requested name to full name; the time is optional if all requested channels have clocks.
+
+    Args:
+        source: the file.
+        names: full names of the channels that hold numbers.
+        selection: the requested channels.
+        clocked: full names of the channels with a clock in the file.
+
+    Raises:
+        LogError: a channel is missing or ambiguous.
+    """
+    matches = match_channels(source, names, selection, has_clocks=True)
+    if all(name in clocked for name in matches.values()):
+        return matches
+    return match_channels(source, names, selection)
+
+
+def unique_names(names: Sequence[str]) -> list[str]:
+    """Return the names, repeated ones with a number behind them, so that all differ."""
+    unique: dict[str, None] = {}
+    for name in names:
+        number, candidate = 1, name
+        while candidate in unique:
+            number += 1
+            candidate = f"{name} ({number})"
+        unique[candidate] = None
+    return list(unique)
+
+
+def floats(values: np.ndarray) -> np.ndarray:
+    """Return real numbers as a vector of doubles, copied."""
+    return np.array(values, dtype=np.float64).ravel()
+
+
+def is_vector(shape: Sequence[int]) -> bool:
+    """Return whether an array of this shape is one row or column of more than one number."""
+    return len(shape) in (1, 2) and max(shape) > 1 and (len(shape) == 1 or min(shape) == 1)
+
+
+def is_matrix(shape: Sequence[int]) -> bool:
+    """Return whether an array of this shape is a table: samples along its longer side, several columns."""
+    return len(shape) == 2 and 1 < min(shape) < max(shape) and min(shape) <= MAX_COLUMNS
+
+
+def column_of(matrix: Any, index: int) -> np.ndarray:
+    """Return a column of a table: the samples along its longer side, whichever that is."""
+    return matrix[:, index] if matrix.shape[0] > matrix.shape[1] else matrix[index, :]
+
+
+def column_names(name: str, shape: Sequence[int]) -> list[str]:
+    """Return the names of the columns of a table, as MATLAB counts them: `data(:,1)`, `data(:,2)`, …."""
+    return [f"{name}(:,{number})" for number in range(1, min(shape) + 1)]
+
+
+def unit_text(unit: object) -> str | None:
+    """Return a unit as written in the file, None if it is blank or not text."""
+    if isinstance(unit, np.ndarray) and unit.size == 1:
+        unit = unit.ravel()[0]
+    if isinstance(unit, bytes):
+        unit = unit.decode("utf-8", errors="replace")
+    if not isinstance(unit, str):
+        return None
+    return unit.strip(" \0\t\r\n") or None

@@ -1,0 +1,65 @@
+"""MATLAB `.mat` files of any version: vectors, structs of them, exports of ControlDesk and Simulink."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from hitchid.errors import LogError
+from hitchid.logs.content import ChannelSelection, Content, LogChannel
+from hitchid.logs.formats.clock_units import to_seconds
+from hitchid.logs.formats.library import as_log_errors, floats, match_clocked_channels
+from hitchid.logs.formats.mat import version5, version73
+from hitchid.logs.formats.mat.tree import ChannelSource, Leaf, channels_of
+
+SUFFIXES = (".mat",)
+KIND = "a MATLAB file"
+
+
+def read(path: Path, selection: ChannelSelection) -> Content:
+    """Read the selected vectors of a MATLAB file.
+
+    Args:
+        path: the file.
+        selection: the requested vectors; the time is optional in exports with a time for each signal.
+
+    Raises:
+        LogError: the file is damaged or was cut short, a vector is missing or not real, or h5py, required for
+            version 7.3, is not installed.
+    """
+    with as_log_errors(path, KIND):
+        reader = version73 if version73.is_hdf5(path) else version5
+        with reader.open_log(path) as log:
+            sources = channels_of(log.tree)
+            matches = match_clocked_channels(
+                path, list(sources), selection, {name for name, c in sources.items() if c.time}
+            )
+            selected = {requested: sources[name] for requested, name in matches.items()}
+            leaves = [leaf for c in selected.values() for leaf in (c.values, c.time) if leaf]
+            variables = log.load([leaf.variable for leaf in leaves if leaf.variable])
+            channels = _channels(path, selected, variables, strict=selection.signals is not None)
+    return Content(path, channels)
+
+
+def _channels(
+    path: Path, selected: Mapping[str, ChannelSource], variables: Mapping[str, np.ndarray], *, strict: bool
+) -> dict[str, LogChannel]:
+    channels: dict[str, LogChannel] = {}
+    clocks: dict[int, np.ndarray] = {}
+    for requested, source in selected.items():
+        values = source.values.load(variables)
+        if values.dtype.kind not in "fiub":
+            if strict:
+                raise LogError(path, "expected a real numeric vector", column=requested)
+            continue  # whether a vector is complex is known only after reading
+        clock_s = None if source.time is None else _clock(source.time, source.time_unit, variables, clocks)
+        channels[requested] = LogChannel(floats(values), source.unit, clock_s)
+    return channels
+
+
+def _clock(
+    leaf: Leaf, unit: str | None, variables: Mapping[str, np.ndarray], clocks: dict[int, np.ndarray]
+) -> np.ndarray:
+    if id(leaf) not in clocks:
+        clocks[id(leaf)] = to_seconds(floats(leaf.load(variables)), unit)
+    return clocks[id(leaf)]

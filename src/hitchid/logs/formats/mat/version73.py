@@ -1,0 +1,112 @@
+"""MATLAB files of version 7.3: HDF5 files in which groups are structs."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hitchid.logs.formats.hdf5 import NUMERIC_KINDS, is_external, read_dataset
+from hitchid.logs.formats.library import import_optional
+from hitchid.logs.formats.mat.tree import Leaf
+
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+SIGNATURE_OFFSETS = (0, 512)  # bytes; MATLAB puts a header of 512 bytes in front
+MAX_DEPTH = 30  # nested structs; chosen
+NON_NUMERIC_CLASSES = ("char", "cell", "struct", "function_handle", "table", "string", "categorical")
+
+
+class MatFile(NamedTuple):
+    """An open file: the tree of its content; each leaf loads itself."""
+
+    tree: Mapping[str, object]
+
+    def load(self, names: Sequence[str]) -> Mapping[str, np.ndarray]:
+        """Return no variables: each leaf reads its own dataset."""
+        return {}
+
+
+def is_hdf5(path: Path) -> bool:
+    """Return whether a file is HDF5 inside."""
+    with path.open("rb") as stream:
+        head = stream.read(SIGNATURE_OFFSETS[-1] + len(SIGNATURE))
+    return any(head[offset:].startswith(SIGNATURE) for offset in SIGNATURE_OFFSETS)
+
+
+@contextmanager
+def open_log(path: Path) -> Iterator[MatFile]:
+    """Open a MATLAB 7.3 file.
+
+    Raises:
+        LogError: h5py is not installed.
+    """
+    h5py = import_optional("h5py", "hdf5", path)
+    with h5py.File(path, "r") as file:
+        yield MatFile(_fields(_Reader(h5py, path), file, 0))
+
+
+class _Reader(NamedTuple):
+    h5py: Any
+    path: Path
+
+
+class _Column(NamedTuple):
+    """One field of an array of structs: a node for each struct."""
+
+    nodes: list[object]
+
+
+def _fields(reader: _Reader, group: Any, depth: int) -> dict[str, object]:
+    fields: dict[str, object] = {}
+    for name in group if depth < MAX_DEPTH else ():
+        if name.startswith("#"):  # targets of references
+            continue
+        link = group.get(name, getlink=True)
+        if isinstance(link, reader.h5py.ExternalLink):
+            fields[name] = _external_leaf(reader, f"{group.name}/{name}")
+        elif isinstance(link, reader.h5py.HardLink):
+            fields[name] = _node(reader, group[name], depth + 1)
+    return fields
+
+
+def _node(reader: _Reader, item: Any, depth: int) -> object:
+    if isinstance(item, reader.h5py.Group):
+        if "MATLAB_sparse" in item.attrs:
+            return None
+        return _structs(_fields(reader, item, depth))
+    if not isinstance(item, reader.h5py.Dataset):
+        return None
+    return _external_leaf(reader, item.name) if is_external(item) else _array(reader, item, depth)
+
+
+def _array(reader: _Reader, item: Any, depth: int) -> object:
+    kind = _matlab_class(item)
+    if "MATLAB_empty" in item.attrs or item.shape is None:
+        return None
+    if kind == "char" and item.dtype.kind == "u" and item.ndim == 2:
+        return "".join(map(chr, item[()].ravel().tolist())) if min(item.shape) == 1 else None
+    if kind == "" and item.dtype == reader.h5py.ref_dtype:  # one field of an array of structs
+        return _Column([_node(reader, item.file[reference], depth + 1) for reference in item[()].ravel()])
+    if item.dtype.kind in NUMERIC_KINDS and kind not in NON_NUMERIC_CLASSES:
+        # MATLAB stores the transpose.
+        return Leaf(item.shape[::-1], lambda _: read_dataset(reader.path, item, item.name.lstrip("/")).T)
+    return None
+
+
+def _structs(fields: dict[str, object]) -> object:
+    """Return a list of structs if each field is an array of references, else the struct itself."""
+    columns = {name: inner.nodes for name, inner in fields.items() if isinstance(inner, _Column)}
+    lengths = {len(inner) for inner in columns.values()}
+    if len(columns) != len(fields) or len(lengths) != 1:
+        return fields
+    return [{name: inner[k] for name, inner in columns.items()} for k in range(lengths.pop())]
+
+
+def _external_leaf(reader: _Reader, name: str) -> Leaf:
+    return Leaf((2,), lambda _: read_dataset(reader.path, None, name.lstrip("/")))
+
+
+def _matlab_class(item: Any) -> str:
+    kind = item.attrs.get("MATLAB_class", b"")
+    return kind.decode("ascii", errors="replace") if isinstance(kind, bytes) else str(kind)

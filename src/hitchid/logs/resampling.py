@@ -1,0 +1,279 @@
+"""Uniform time grid from the time stamps of a log: adopted, resampled, or split at gaps."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from hitchid._support.records import Notice
+from hitchid.errors import LogError
+
+LineOf = Callable[[int], int | None]
+GRID_TOLERANCE = 0.02  # of the sampling time; largest distance of a stamp on the grid (chosen)
+GAP_FACTOR = 1.5  # of the sampling time; a longer interval is a gap (chosen)
+SHORTEST_STEP_S = 1e-9  # s; the resolution of time stamps in ns
+# s and sampling times, the larger counts: a hydraulic axis changes its speed in 0.2 s; two lost samples.
+SHORT_GAP_S, SHORT_GAP_STEPS = 0.2, 3
+# s and sampling times, the larger counts: longest interpolation at constant command and speed (chosen).
+LONGEST_BRIDGE_S, LONGEST_BRIDGE_STEPS = 1.0, 10
+# Fraction of a command's range, fraction of the displacement's range, rows per speed estimate (chosen).
+COMMAND_TOLERANCE, MOTION_TOLERANCE, SPEED_ROWS = 0.1, 0.05, 5
+# Fewest rows a stamp of a coarse clock; share of rows within stamps whose displacement is new (chosen).
+MIN_ROWS_A_STAMP, CHANGED_SHARE = 1.25, 0.1
+
+
+@dataclass(frozen=True)
+class ClockQuality:
+    """Regularity of a log's clock; all zero for time stamps on a uniform grid.
+
+    Attributes:
+        jitter: largest deviation of an interval without lost samples, as a fraction of the sampling time.
+        longest_gap_s: longest interpolated gap, s; 0 without lost samples.
+        interpolated_share: share of samples more than 2 % of the sampling time from any time stamp.
+        logged_step_s: sampling time of the log, s; None if the campaign has the same.
+    """
+
+    jitter: float = 0.0
+    longest_gap_s: float = 0.0
+    interpolated_share: float = 0.0
+    logged_step_s: float | None = None
+
+
+REGULAR_CLOCK = ClockQuality()
+
+
+@dataclass(frozen=True)
+class LogSection:
+    """Rows `start:stop` of a log that form one record.
+
+    Attributes:
+        start, stop: row range.
+        step_s: sampling time of the uniform grid, s.
+        resampled: whether the rows must be interpolated onto the grid.
+        notices: the gap before the section, and its resampling.
+        clock: regularity of the time stamps.
+    """
+
+    start: int
+    stop: int
+    step_s: float
+    resampled: bool
+    notices: tuple[Notice, ...] = ()
+    clock: ClockQuality = REGULAR_CLOCK
+
+
+def unique_stamp_rows(time_s: np.ndarray, source: object, *, column: str, line_of: LineOf) -> np.ndarray:
+    """Return the rows whose time differs from that of the row before, indices of shape [M].
+
+    Args:
+        time_s: time stamps, s, shape [N].
+        source: the log's name, for messages.
+        column: the time column's name, for messages.
+        line_of: returns the line of a row in the file; None for a format without lines.
+
+    Raises:
+        LogError: time is not finite, decreases, is constant, or has steps below 1 ns or infinite ones.
+    """
+    bad = np.flatnonzero(~np.isfinite(time_s))
+    if bad.size:
+        problem = f"expected finite time stamps, got {time_s[bad[0]]}"
+        raise LogError(source, problem, line=line_of(int(bad[0])), column=column)
+    intervals = np.diff(time_s)
+    backward = np.flatnonzero(intervals < 0)
+    if backward.size:
+        row = int(backward[0]) + 1
+        raise LogError(
+            source,
+            f"time must not decrease; {time_s[row]:g} s follows {time_s[row - 1]:g} s",
+            line=line_of(row),
+            column=column,
+        )
+    if intervals.size and not np.any(intervals):
+        problem = f"all {time_s.size} time stamps are {time_s[0]:g} s; expected increasing time stamps"
+        raise LogError(source, problem, line=line_of(1), column=column)
+    rows = np.concatenate([[0], np.flatnonzero(intervals) + 1]) if time_s.size else np.arange(0)
+    median = float(np.median(intervals[intervals > 0])) if intervals.size else SHORTEST_STEP_S
+    longest = float(np.max(intervals, initial=median))
+    if not SHORTEST_STEP_S <= median <= longest < np.inf:
+        problem = (
+            f"the sampling time is {median:g} s, the longest interval {longest:g} s; "
+            f"expected {SHORTEST_STEP_S:g} s or more, and finite intervals"
+        )
+        raise LogError(source, problem, column=column)
+    return rows
+
+
+def spread_stamps(time_s: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, str] | None:
+    """Return even time stamps for samples that share theirs, and a notice; None where each has its own.
+
+    A clock that is read in steps longer than the sampling time stamps several samples alike. They were
+    sampled evenly where every stamp is within its step of one line over the rows, and anew where the
+    displacement differs within stamps.
+
+    Args:
+        time_s: time stamps, s, shape [N].
+        position: displacement, of the same shape.
+    """
+    intervals = np.diff(time_s)
+    rows = np.flatnonzero(intervals) + 1  # first rows of all stamps but the first
+    if rows.size < 3 or not np.all(intervals >= 0) or intervals.size < MIN_ROWS_A_STAMP * rows.size:
+        return None
+    changed = np.diff(position)[intervals == 0] != 0
+    # From the first change of the stamp to the last: the log may begin and end within one.
+    step_s = float(time_s[rows[-1]] - time_s[rows[0]]) / float(rows[-1] - rows[0])
+    even = np.round(time_s[rows[0]] + step_s * (np.arange(time_s.size) - rows[0]), 9)
+    resolution_s = float(np.median(intervals[rows - 1]))
+    if np.mean(changed) < CHANGED_SHARE or np.max(np.abs(even - time_s)) > resolution_s + step_s:
+        return None
+    sentence = (
+        f"about {resolution_s / step_s:.3g} samples share each time stamp, which are {resolution_s:.4g} s "
+        f"apart: they are spread evenly, every {step_s:.4g} s"
+    )
+    return even, sentence
+
+
+def one_sample_a_stamp(
+    values: np.ndarray, time_s: np.ndarray, rows: np.ndarray, *, is_held: bool
+) -> np.ndarray:
+    """Return one sample for each time stamp, shape [M].
+
+    Loggers that write an event of its own write two rows with one stamp: before and after a command changes.
+
+    Args:
+        values, time_s: samples and their time stamps, s, which do not decrease, shape [N].
+        rows: first row of each stamp, as `unique_stamp_rows` returns them, shape [M].
+        is_held: for a command, which is in force from its last row on; a measured signal takes the row
+            nearest to the line through the stamps before and after.
+    """
+    last_rows = np.append(rows[1:], time_s.size) - 1
+    if is_held or rows.size < 2:
+        return values[last_rows]
+    counts = last_rows - rows + 1
+    means, stamps = np.add.reduceat(values, rows) / counts, time_s[rows]
+    before, after = np.arange(rows.size) - 1, np.arange(rows.size) + 1
+    before[0], after[-1] = after[0], before[-1]  # at the ends the one neighbour there is
+    span = stamps[after] - stamps[before]
+    share = np.divide(stamps - stamps[before], span, out=np.zeros(rows.size), where=span > 0)
+    expected = means[before] + share * (means[after] - means[before])
+    error = np.abs(values - np.repeat(expected, counts))
+    return values[np.lexsort((error, np.repeat(stamps, counts)))[rows]]
+
+
+def sections(
+    time_s: np.ndarray, commands: Mapping[str, np.ndarray], position: np.ndarray
+) -> list[LogSection]:
+    """Divide a time column into sections, each one record on a uniform grid.
+
+    The sampling time is the median interval. Time stamps within 2 % of a uniform grid are kept; others are
+    resampled. An interval above 1.5 sampling times is a gap. It is interpolated up to 0.2 s or three sampling
+    times; and up to 1 s or ten sampling times, if no command changes over it by more than a tenth of its
+    range and the travel agrees with the speeds before and after within 5 % of its range. Any other gap
+    splits the log.
+
+    Args:
+        time_s: increasing time stamps, s, shape [N].
+        commands: role to command, each of shape [N].
+        position: measured displacement, shape [N].
+    """
+    intervals = np.diff(time_s)
+    if intervals.size == 0:
+        return []
+    median = float(np.median(intervals))
+    short = max(SHORT_GAP_S, (SHORT_GAP_STEPS + GRID_TOLERANCE) * median)
+    longest = max(LONGEST_BRIDGE_S, (LONGEST_BRIDGE_STEPS + GRID_TOLERANCE) * median)
+    gaps = np.flatnonzero(intervals > max(short, GAP_FACTOR * median))
+    bridging = _GapBridging(time_s, commands, position)
+    cuts = [int(gap) + 1 for gap in gaps if intervals[gap] > longest or not bridging.can_bridge(int(gap))]
+    log_sections = []
+    for start, stop in pairwise([0, *cuts, time_s.size]):
+        if stop - start < 2:
+            continue
+        log_sections.append(_section(time_s, start, stop, median))
+    return log_sections
+
+
+def _gap_notices(time_s: np.ndarray, start: int, median: float) -> tuple[Notice, ...]:
+    """Return the notice of the gap before a section; none before the first."""
+    if start == 0:
+        return ()
+    gap = time_s[start] - time_s[start - 1]
+    sentence = f"split at {time_s[start]:g} s: a gap of {gap:.3g} s, {gap / median:.1f} sampling times"
+    return (Notice("gap-split", sentence),)
+
+
+class _GapBridging:
+    """Condition of interpolation over a gap: constant commands, and rest or constant speed."""
+
+    def __init__(self, time_s: np.ndarray, commands: Mapping[str, np.ndarray], position: np.ndarray) -> None:
+        self.time_s, self.position = time_s, position
+        self.commands = [(command, COMMAND_TOLERANCE * np.ptp(command)) for command in commands.values()]
+        self.tolerance = MOTION_TOLERANCE * np.ptp(position)
+
+    def can_bridge(self, row: int) -> bool:
+        """Return whether the gap after a row may be interpolated."""
+        if any(abs(command[row + 1] - command[row]) > tolerance for command, tolerance in self.commands):
+            return False
+        last = self.time_s.size - 1
+        first_row, last_row = max(0, row - SPEED_ROWS), min(last, row + 1 + SPEED_ROWS)
+        if first_row == row or last_row == row + 1:
+            return False
+        travel = self.position[row + 1] - self.position[row]
+        gap_s = self.time_s[row + 1] - self.time_s[row]
+        speeds = (self._speed(first_row, row), self._speed(row + 1, last_row))
+        return all(abs(travel - speed * gap_s) <= self.tolerance for speed in speeds)
+
+    def _speed(self, first: int, last: int) -> float:
+        travel = self.position[last] - self.position[first]
+        return float(travel / (self.time_s[last] - self.time_s[first]))
+
+
+def uniform(stamps: np.ndarray, step_s: float) -> np.ndarray:
+    """Return the instants of a uniform grid from the first stamp to the last, s, shape [M]."""
+    count = int((stamps[-1] - stamps[0]) / step_s * (1 + 1e-12) + 1e-6) + 1
+    return stamps[0] + step_s * np.arange(count)
+
+
+def _section(time_s: np.ndarray, start: int, stop: int, median: float) -> LogSection:
+    stamps, notices = time_s[start:stop], _gap_notices(time_s, start, median)
+    intervals = np.diff(stamps)
+    grid_indices = np.concatenate([[0], np.cumsum(np.maximum(1, np.rint(intervals / median)))])
+    step = _nominal_step(stamps, int(grid_indices[-1]))
+    deviation = np.max(np.abs(stamps - stamps[0] - step * grid_indices)) / step
+    if deviation <= GRID_TOLERANCE and grid_indices[-1] == stamps.size - 1:
+        return LogSection(start, stop, step, resampled=False, notices=notices)
+    # For irregular stamps a step of two digits is accurate enough, and equal for similar logs.
+    step = step if deviation <= GRID_TOLERANCE else float(f"{median:.2g}")
+    clock = _quality(stamps, step, median)
+    sentence = (
+        f"resampled: the clock jitters by {clock.jitter:.1%} of {step:.4g} s"
+        f"{_gap_text(clock)}; {clock.interpolated_share:.1%} of the samples are interpolated"
+    )
+    notices = (*notices, Notice("clock-resampled", sentence))
+    return LogSection(start, stop, step, resampled=True, notices=notices, clock=clock)
+
+
+def _gap_text(clock: ClockQuality) -> str:
+    return f", the longest gap is {clock.longest_gap_s:.3g} s" if clock.longest_gap_s else ""
+
+
+def _quality(stamps: np.ndarray, step: float, median: float) -> ClockQuality:
+    intervals = np.diff(stamps)
+    regular_intervals = intervals[intervals <= GAP_FACTOR * median]
+    longest = float(np.max(intervals))
+    instants = uniform(stamps, step)
+    next_stamp = np.clip(np.searchsorted(stamps, instants), 1, stamps.size - 1)
+    distance = np.minimum(np.abs(instants - stamps[next_stamp]), np.abs(instants - stamps[next_stamp - 1]))
+    return ClockQuality(
+        jitter=float(np.max(np.abs(regular_intervals - step), initial=0.0)) / step,
+        longest_gap_s=longest if longest > GAP_FACTOR * median else 0.0,
+        interpolated_share=float(np.mean(distance > GRID_TOLERANCE * step)),
+    )
+
+
+def _nominal_step(stamps: np.ndarray, steps: int) -> float:
+    """Return the mean step, rounded to four digits where the drift stays below the grid tolerance."""
+    step = float(stamps[-1] - stamps[0]) / steps
+    rounded = float(f"{step:.4g}")
+    drift = abs(rounded - step) * steps
+    return rounded if drift <= GRID_TOLERANCE * step else step

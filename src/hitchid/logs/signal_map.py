@@ -1,0 +1,369 @@
+"""Settings file of a campaign: signal columns, kinds of tests, split."""
+
+import re
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from types import MappingProxyType
+from typing import Literal, TypeVar, get_args
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+
+from hitchid._support import checks
+from hitchid.errors import InputError, SettingsError
+from hitchid.logs.record import COMMAND
+from hitchid.logs.units import UNITS, check_unit, unit_of_column
+
+# Errors of settings as sentences: the key, what was expected, what was found.
+
+MAX_SHOWN, MAX_PRINTED = 200, 10**100  # characters, largest integer in a message (chosen)
+EXPECTED: Mapping[str, str] = MappingProxyType(
+    {
+        "bool_parsing": "true or false",
+        "bool_type": "true or false",
+        "dataclass_type": "a table",
+        "dict_type": "a table",
+        "finite_number": "a finite number",
+        "float_parsing": "a number",
+        "float_type": "a number",
+        "frozen_set_type": "a list",
+        "greater_than": "a number above {gt:g}",
+        "greater_than_equal": "at least {ge:g}",
+        "int_from_float": "a whole number",
+        "int_parsing": "a whole number",
+        "int_parsing_size": "a smaller whole number",
+        "int_type": "a whole number",
+        "less_than": "a number below {lt:g}",
+        "less_than_equal": "at most {le:g}",
+        "list_type": "a list",
+        "json_invalid": "JSON of at most 200 levels",
+        "literal_error": "{expected}",
+        "mapping_type": "a table",
+        "missing": "a value",
+        "missing_argument": "a value",
+        "model_attributes_type": "a table",
+        "model_type": "a table",
+        "string_pattern_mismatch": "text like {pattern}",
+        "string_type": "text in quotes",
+        "too_long": "at most {max_length} entries",
+        "too_short": "at least {min_length} entries",
+        "tuple_type": "a list",
+        "union_tag_invalid": "{discriminator} to be one of {expected_tags}",
+        "union_tag_not_found": "the key {discriminator}",
+    }
+)
+"""Type of a pydantic error to what was expected, with fields of its context."""
+
+
+def describe(error: ValidationError, model: type[BaseModel] | None = None) -> str:
+    """Return the first error of a validation as one sentence that names the key.
+
+    Args:
+        error: of the validation.
+        model: the validated model, whose keys are compared with one that is not known.
+    """
+    first = error.errors()[0]
+    kind, location = first["type"], first["loc"]
+    key = _truncated(".".join(map(str, location)) or "settings")
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
+        return f"key '{key}' is not known{_suggestion(str(location[-1]), location[:-1], model)}"
+    value, context = first.get("input"), first.get("ctx", {})
+    if kind == "value_error":  # the sentence of a validator of this package, which may name the value itself
+        if not location:  # of the whole file: the sentence names the key
+            return str(context["error"])
+        return f"key '{key}': {context['error']}{_received(value) if _is_scalar(value) else ''}"
+    expected = EXPECTED.get(kind, "another value").format_map(context)
+    return (
+        f"key '{key}': expected {expected}{', got none' if kind.startswith('missing') else _received(value)}"
+    )
+
+
+def _suggestion(name: str, location: tuple[int | str, ...], model: type[BaseModel] | None) -> str:
+    """Return the nearest known key, else all known keys, else nothing."""
+    known = _keys_at(model, location)
+    nearest = get_close_matches(name, known, n=1)
+    if nearest:
+        return f"; did you mean '{nearest[0]}'?"
+    return f"; expected one of {', '.join(known)}" if known else "; check its spelling"
+
+
+def _keys_at(model: type[BaseModel] | None, location: tuple[int | str, ...]) -> tuple[str, ...]:
+    """Return the keys of the table at a place in the settings; empty if they cannot be found."""
+    for part in location:
+        if model is None:
+            return ()
+        if isinstance(part, str):  # a number is a place in a list of tables
+            field = model.model_fields.get(part)
+            model = None if field is None else next(_models_in(field.annotation), None)
+    return () if model is None else tuple(model.model_fields)
+
+
+def _models_in(annotation: object) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for argument in get_args(annotation):
+        yield from _models_in(argument)
+
+
+def _is_scalar(value: object) -> bool:
+    return isinstance(value, str | int | float | bool)
+
+
+def _received(value: object) -> str:
+    if _is_scalar(value) or value is None:
+        return f", got {_printed(value)}"
+    return ", got a table" if isinstance(value, Mapping) else ", got a list"
+
+
+def _truncated(text: str) -> str:
+    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}…"
+
+
+def _printed(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"  # as in TOML
+    if value is None:
+        return "null"  # as in JSON; TOML has none
+    # Python prints no integer above 4300 digits; TOML allows longer ones in hexadecimal.
+    if isinstance(value, int) and abs(value) >= MAX_PRINTED:
+        return "a huge number"
+    return _truncated(repr(value))
+
+
+CAMPAIGN_FILE = "campaign.toml"
+MAX_LENGTH, MAX_DOTS = 2**20, 100  # characters of a settings file; dots in one key (chosen)
+POSITIONS = ("length", "angle", "voltage", "ratio")  # dimensions of a displacement
+COMMANDS = ("current", "voltage", "ratio", "pressure", "flow", "frequency")  # dimensions of a command
+DIMENSIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "time": ("time",),
+        "displacement": POSITIONS,
+        "command": COMMANDS,
+        "lifting_command": COMMANDS,
+        "lowering_command": COMMANDS,
+    }
+)
+"""Role to the admissible dimensions of its unit; a covariate may have any."""
+
+
+class Strict(BaseModel):
+    """Settings read from a file; an unknown key is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Column(Strict):
+    """A column of the log and its scaling: signal = (reading − zero) · scale.
+
+    Attributes:
+        column: name of the column.
+        unit: of the signal; None for the unit given by the log.
+        zero: reading at signal zero, in the log's unit.
+        scale: `unit` per reading, negative to reverse the sign; None for readings in the log's unit, or in
+            `unit` if the log gives none.
+    """
+
+    column: str
+    unit: str | None = None
+    zero: float = Field(default=0.0, allow_inf_nan=False)
+    scale: float | None = Field(default=None, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_name(cls, value: object) -> object:
+        if isinstance(value, str):
+            return {"column": value, "unit": unit_of_column(value)}
+        return value
+
+    @field_validator("unit")
+    @classmethod
+    def _known_unit(cls, unit: str | None) -> str | None:
+        try:
+            return None if unit is None else check_unit(unit, "unit")
+        except InputError as error:
+            raise ValueError(str(error)) from error
+
+    @field_validator("scale")
+    @classmethod
+    def _not_zero(cls, scale: float | None) -> float | None:
+        if scale == 0:
+            raise ValueError("expected a number other than zero (units per reading)")
+        return scale
+
+
+class SignalMap(Strict):
+    """Map from signals to columns of a log.
+
+    Either one signed `command`, positive for lifting and negative for lowering, or `lifting_command` and
+    `lowering_command`; one of these alone is a plant with one channel, whose command may have both signs.
+    Commands alone, for a simulation, have no displacement.
+    """
+
+    time: Column = Column(column="time_s", unit="s")
+    displacement: Column | None = Column(column="displacement_mm", unit="mm")
+    command: Column | None = None
+    lifting_command: Column | None = None
+    lowering_command: Column | None = None
+    covariates: tuple[Column, ...] = ()
+
+    @field_validator("covariates", mode="before")
+    @classmethod
+    def _by_name(cls, value: object) -> object:
+        """Convert names to columns in the log's unit, whatever unit the name ends in."""
+        if not isinstance(value, list | tuple):
+            return value
+        return tuple(
+            {"column": covariate} if isinstance(covariate, str) else covariate for covariate in value
+        )
+
+    @model_validator(mode="after")
+    def _check_signals(self) -> "SignalMap":
+        if self.command and (self.lifting_command or self.lowering_command):
+            raise ValueError("expected either command or lifting_command and lowering_command, not both")
+        if not (self.command or self.lifting_command or self.lowering_command):
+            raise ValueError("expected at least one of command, lifting_command, lowering_command")
+        reserved = DIMENSIONS.keys() & {covariate.column for covariate in self.covariates}
+        if reserved:
+            raise ValueError(f"covariates: '{reserved.pop()}' is the name of a signal; rename the column")
+        for role, dimensions in DIMENSIONS.items():
+            column = getattr(self, role)
+            if column is None or column.unit is None:
+                continue
+            dimension = UNITS[column.unit].dimension
+            if dimension not in dimensions:
+                raise ValueError(
+                    f"{role}: '{column.unit}' is a unit of {dimension}, "
+                    f"expected one of {', '.join(dimensions)}"
+                )
+        return self
+
+
+DEFAULT_SIGNALS = SignalMap(
+    lifting_command=Column(column="current_up_A", unit="A"),
+    lowering_command=Column(column="current_down_A", unit="A"),
+)
+
+
+def command_columns(directions: Iterable[str], units: Mapping[str, str]) -> dict[str, Column]:
+    """Return role to the column of a command in logs that this package writes.
+
+    The default column where it has the unit, otherwise the role and the unit: `lifting_command_percent`.
+
+    Args:
+        directions: directions that have a command.
+        units: role to unit.
+    """
+    columns = {}
+    for role in (COMMAND[direction] for direction in directions):
+        default, unit = getattr(DEFAULT_SIGNALS, role), units[role]
+        columns[role] = default if unit == default.unit else Column(column=f"{role}_{unit}", unit=unit)
+    return columns
+
+
+class Split(Strict):
+    """Held-out tests, as patterns on their names."""
+
+    test: tuple[str, ...] = Field(min_length=1)
+
+
+class Can(Strict):
+    """DBC files of the CAN bus, relative to the settings file."""
+
+    databases: tuple[str, ...] = ()
+
+
+class CampaignFile(Strict):
+    """Content of `campaign.toml`.
+
+    Attributes:
+        signals: columns of the logs.
+        can: databases of the bus.
+        split: held-out tests.
+        tests: pattern on names to kind.
+        end_stops: lowest and highest position of the piston, in the displacement's unit.
+    """
+
+    signals: SignalMap = DEFAULT_SIGNALS
+    can: Can = Can()
+    split: Split | None = None
+    tests: dict[str, Literal["lifting", "lowering", "ramp", "cycle"]] = {}
+    end_stops: tuple[FiniteFloat, FiniteFloat] | None = None
+
+    @field_validator("end_stops")
+    @classmethod
+    def _lower_first(cls, end_stops: tuple[float, float] | None) -> tuple[float, float] | None:
+        if end_stops is not None and not end_stops[0] < end_stops[1]:
+            raise ValueError("expected the lower and the higher position, in the displacement's unit")
+        return end_stops
+
+
+def signal_map_of(signals: Mapping[str, object]) -> SignalMap:
+    """Return the signal map of a dict with the content of `[signals]`.
+
+    Raises:
+        SettingsError: a key is unknown or a value invalid.
+    """
+    if not isinstance(signals, Mapping):
+        raise checks.input_error("signals", "signal to column, as [signals] in campaign.toml", signals)
+    try:
+        return CampaignFile.model_validate({"signals": dict(signals)}).signals
+    except ValidationError as error:
+        raise SettingsError(describe(error)) from error
+
+
+def read_campaign_file(path: Path) -> CampaignFile:
+    """Read a `campaign.toml`.
+
+    Raises:
+        SettingsError: the file cannot be read, is not TOML, or has an unknown key or invalid value.
+    """
+    return parse_settings(path, CampaignFile)
+
+
+Settings = TypeVar("Settings", bound=Strict)
+
+
+def parse_settings(path: Path, model: type[Settings]) -> Settings:
+    """Read a TOML file into settings; errors name file and key.
+
+    Raises:
+        SettingsError: as `read_campaign_file`.
+    """
+    try:
+        with path.open(encoding="utf-8-sig") as stream:
+            text = stream.read(MAX_LENGTH + 1)
+    except (OSError, ValueError) as error:  # no text, or a path no file can have
+        raise SettingsError(f"{path}: cannot be read: {error}") from error
+    content = parse_toml(text, path)
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise SettingsError(f"{path}: {describe(error, model)}") from error
+    except SettingsError as error:
+        raise SettingsError(f"{path}: {error}") from error
+
+
+def parse_toml(text: str, source: object) -> dict[str, object]:
+    """Parse TOML.
+
+    Raises:
+        SettingsError: the text is not TOML, or too long for settings.
+    """
+    # Time and memory of tomllib grow with the square of the number of parts of a dotted key.
+    if len(text) > MAX_LENGTH or any(
+        fragment.count(".") > MAX_DOTS for fragment in re.split(r"[\n=,]", text)
+    ):
+        raise SettingsError(f"{source}: is too large for a settings file; check the path")
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # numbers that are too long, nesting that is too deep
+        raise SettingsError(f"{source}: is not valid TOML: {error}") from error

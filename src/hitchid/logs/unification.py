@@ -1,0 +1,230 @@
+"""Records of one campaign: one set of units, one clock, the kind of each; those that do not fit left out."""
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from statistics import median_low
+from typing import NoReturn, TypeVar
+
+import numpy as np
+
+from hitchid._support import checks
+from hitchid._support.records import Notice, Severity, Value
+from hitchid.errors import InputError, LogError, SettingsError
+from hitchid.logs.kinds import detect_kind, full_scales
+from hitchid.logs.record import COMMAND, CYCLE, DIRECTIONS, DISPLACEMENT, IDLE, KINDS, Record
+from hitchid.logs.units import UNITS
+
+# Tests that cannot be used: left out with the reason; in strict mode an error.
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+MAX_SHOWN = 10  # causes named in one error message (chosen)
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut(Value):
+    """A log or test that is not used.
+
+    Attributes:
+        name: of the log or test.
+        error: the reason, as an exception.
+    """
+
+    name: str
+    error: InputError
+
+    @property
+    def reason(self) -> str:
+        """The reason, without the name."""
+        return self.error.reason if isinstance(self.error, LogError) else str(self.error)
+
+    def describe(self) -> dict[str, str]:
+        """Return name and reason for JSON output."""
+        return {"name": self.name, "reason": self.reason}
+
+
+def split_usable(
+    items: Iterable[tuple[str, Item]], work: Callable[[Item], Result], *, strict: bool
+) -> tuple[list[Result], list[LeftOut]]:
+    """Return the results of usable items, and the items that cannot be used.
+
+    Args:
+        items: name and item.
+        work: raises `InputError` for an item that cannot be used.
+        strict: whether the first such item is an error for all.
+
+    Raises:
+        SettingsError: a settings file is wrong.
+        InputError: with `strict`, an item cannot be used.
+    """
+    usable, left_out = [], []
+    for name, item in items:
+        try:
+            usable.append(work(item))
+        except SettingsError:
+            raise
+        except InputError as error:
+            if strict:
+                raise
+            left_out.append(LeftOut(name, error.with_traceback(None)))
+    return usable, left_out
+
+
+def left_out_notices(left_out: Sequence[LeftOut], total: int, what: str) -> tuple[Notice, ...]:
+    """Return a notice for each reason with the names concerned, and one with the count.
+
+    Args:
+        left_out: the items that are not used.
+        total: number of all items.
+        what: kind of item, such as `logs`.
+    """
+    if not left_out:
+        return ()
+    names: dict[str, list[str]] = {}
+    for item in left_out:
+        names.setdefault(item.reason, []).append(item.name)
+    notices = [
+        Notice("left-out", f"left out: {reason}", ", ".join(affected), Severity.WARNING)
+        for reason, affected in names.items()
+    ]
+    count = f"{len(left_out)} of {total} {what} left out"
+    return (*notices, Notice("left-out-count", count, severity=Severity.WARNING))
+
+
+def refuse(left_out: Sequence[LeftOut], what: str) -> NoReturn:
+    """Raise an error if no item can be used: the common cause, else all causes.
+
+    Raises:
+        InputError: always; the first item's own error where all have the same.
+    """
+    if len({item.reason for item in left_out}) == 1:
+        raise left_out[0].error
+    causes = [f"{item.name}: {item.reason}" for item in left_out[:MAX_SHOWN]]
+    more = [f"and {len(left_out) - MAX_SHOWN} more"] if len(left_out) > MAX_SHOWN else []
+    raise InputError(f"none of the {len(left_out)} {what} can be used: {'; '.join([*causes, *more])}")
+
+
+MAX_RATE_RATIO = 100  # of sampling times in one campaign; above it, a unit of time is wrong (chosen)
+
+
+def unified(
+    records: Sequence[Record], kinds: Mapping[str, str], *, strict: bool
+) -> tuple[list[Record], list[LeftOut]]:
+    """Return the usable records in the order of their names, on one clock, and those that are left out.
+
+    Args:
+        records: tests, at least one.
+        kinds: pattern on names to kind; overrides the detection from the commands.
+        strict: whether one record that cannot be used is an error for all.
+
+    Raises:
+        InputError: as `Campaign.of`.
+    """
+    ordered = sorted(records, key=lambda record: _natural_sort_key(record.name))
+    reference = _most_common(ordered)
+    usable, mismatched = split_usable(
+        _with_names(ordered), lambda record: _to_reference_units(record, reference), strict=strict
+    )
+    step_s = _common_step(usable)
+    on_clock, off_clock = split_usable(
+        _with_names(usable), lambda record: _to_common_clock(record, step_s), strict=strict
+    )
+    scales = full_scales(on_clock)
+    classified = [replace(record, kind=_kind(record, scales, kinds)) for record in on_clock]
+    moving, stationary = split_usable(_with_names(classified), _require_motion, strict=strict)
+    excluded = [*mismatched, *off_clock, *stationary]
+    if not moving:
+        refuse(excluded, "tests")
+    _check_directions(moving, excluded, ordered)
+    return moving, excluded
+
+
+def _with_names(records: Iterable[Record]) -> list[tuple[str, Record]]:
+    return [(record.name, record) for record in records]
+
+
+def _dimensions(record: Record) -> tuple[tuple[str, str], ...]:
+    """Return displacement and commands with the dimensions of their units."""
+    roles = [role for role in (DISPLACEMENT, *COMMAND.values()) if role in record.signals]
+    units = [record.units.get(role, "") for role in roles]
+    return tuple((r, UNITS[u].dimension if u in UNITS else u) for r, u in zip(roles, units, strict=True))
+
+
+def _most_common(records: Sequence[Record]) -> Record:
+    """Return the first record with the most common commands and dimensions."""
+    counts = Counter(map(_dimensions, records))
+    return max(records, key=lambda record: counts[_dimensions(record)])
+
+
+def _to_reference_units(record: Record, reference: Record) -> Record:
+    """Return a record in the units of another."""
+    if record.directions != reference.directions:
+        raise InputError(
+            f"record '{record.name}' has commands for {' and '.join(record.directions)}, "
+            f"'{reference.name}' for {' and '.join(reference.directions)}; "
+            "all records of a campaign must have the same commands"
+        )
+    return record if record.units == reference.units else record.convert(reference.units)
+
+
+def _require_motion(record: Record) -> Record:
+    """Return a record unless its displacement is constant although it is commanded to move."""
+    if record.kind != IDLE and np.ptp(record.displacement) == 0:
+        raise LogError(
+            record.source or record.name,
+            f"the displacement is constant ({record.displacement[0]:g} {record.unit}) over all "
+            f"{len(record)} samples although the command changes; "
+            "check whether the sensor is connected",
+        )
+    return record
+
+
+def _check_directions(records: Sequence[Record], left_out: Sequence[LeftOut], all_: Sequence[Record]) -> None:
+    """Refuse a campaign in which all tests of one direction are left out."""
+    causes = {item.name: item for item in left_out}
+    for direction in DIRECTIONS:
+        excluded = [
+            causes[record.name]
+            for record in all_
+            if record.name in causes and detect_kind(record, full_scales([record])) == direction
+        ]
+        if excluded and not any(record.kind in (direction, CYCLE) for record in records):
+            refuse(excluded, f"{direction} tests")
+
+
+def _natural_sort_key(name: str) -> list[tuple[int, str]]:
+    """Return a sorting key that puts test-2 before test-10."""
+    return [(int(token), "") if token.isdecimal() else (-1, token) for token in re.split(r"(\d+)", name)]
+
+
+def _common_step(records: Sequence[Record]) -> float:
+    """Return the lower median of the sampling times, which is one of them."""
+    return float(f"{median_low(record.step_s for record in records):.4g}")
+
+
+def _to_common_clock(record: Record, step_s: float) -> Record:
+    """Return a record at the common sampling time: resampled, unless the drift is below 5 % of it."""
+    drift = abs(record.step_s - step_s) * len(record)
+    if not 1 / MAX_RATE_RATIO <= record.step_s / step_s <= MAX_RATE_RATIO:
+        raise LogError(
+            record.source or record.name,
+            (
+                f"has a sampling time of {record.step_s:.4g} s, the median of the logs is "
+                f"{step_s:.4g} s; expected at most {MAX_RATE_RATIO} times longer or shorter "
+                "than the median"
+            ),
+        )
+    return replace(record, step_s=step_s) if drift <= 0.05 * step_s else record.resample(step_s)
+
+
+def _kind(record: Record, scales: Mapping[str, float], kinds: Mapping[str, str]) -> str:
+    for pattern, kind in kinds.items():
+        checks.instance(pattern, str, "kinds: pattern", "text")
+        if fnmatchcase(record.name, pattern):
+            if kind not in KINDS:
+                raise InputError(f"tests: '{kind}' is not a kind of test; expected one of {', '.join(KINDS)}")
+            return kind
+    return detect_kind(record, scales)

@@ -1,0 +1,239 @@
+"""Origin of a result: the information required to reproduce it."""
+
+import ast
+import json
+from collections.abc import Iterator, Mapping, Sequence
+
+from hitchid.logs.audit import AuditFinding, Severity
+from hitchid.model.trace import ChannelTraceFile
+from hitchid.report import figure_data, figures, numbers
+from hitchid.report.context import DirectionContext
+from hitchid.report.document import (
+    Block,
+    Finding,
+    Findings,
+    Picture,
+    Pictures,
+    Rating,
+    ReportSection,
+    Table,
+    Text,
+    sentence,
+)
+from hitchid.report.figures import timeline
+from hitchid.report.tables import search_table
+from hitchid.validation.report_data import HASH_DIGITS, LogData, LogUse, Origin
+
+# The logs of a validation: use of each, findings of the audit, and their hashes.
+
+LEVELS = {Severity.FAULT: Rating.BAD, Severity.WARNING: Rating.CAUTION}
+MAX_MIXED_SHOWN = 2  # mixed logs in the figure; chosen
+
+
+def logs_section(data: LogData) -> ReportSection:
+    """Return the section on the logs: findings of the audit, every log, figures of mixed ones."""
+    inspection = data.inspection
+    findings = tuple(
+        _report_finding(finding) for finding in inspection.findings if finding.severity in LEVELS
+    )
+    notices = (*data.notices, *inspection.notices)
+    findings += tuple(Finding(Rating.CAUTION, sentence(str(notice))) for notice in notices)
+    summary: Block = Findings(findings) if findings else Text("The audit of the logs found no problems.")
+    blocks: list[Block] = [summary, _table(data.logs)]
+    if inspection.mixed:
+        shown_logs = inspection.mixed[:MAX_MIXED_SHOWN]
+        segmented_logs = [(log.record, log.segments) for log in shown_logs]
+        names = ", ".join(log.name for log in shown_logs)
+        picture = Picture(
+            "timeline",
+            timeline(segmented_logs),
+            f"Segments of mixed logs: {names} ({len(inspection.mixed)} in total).",
+            f"Displacement and commands of {names} over time, coloured by segment.",
+            wide=True,
+            data=figure_data.timeline(segmented_logs),
+        )
+        blocks.append(Pictures((picture,)))
+    return ReportSection("Logs", tuple(blocks))
+
+
+def _report_finding(finding: AuditFinding) -> Finding:
+    prefix = f"{finding.record}: " if finding.record else ""
+    return Finding(LEVELS[finding.severity], f"{prefix}{finding.check}: {finding.what}; {finding.advice}.")
+
+
+def _table(logs: Sequence[LogUse]) -> Table:
+    rows = tuple(
+        (
+            log.name,
+            log.kind,
+            log.used_as,
+            str(log.samples),
+            numbers.digits(log.step_s),
+            numbers.digits(log.duration_s),
+            log.digest,
+        )
+        for log in logs
+    )
+    header = (
+        "log",
+        "kind",
+        "used as",
+        "samples",
+        "step / s",
+        "duration / s",
+        f"SHA-256, first {HASH_DIGITS}",
+    )
+    return Table(f"{len(rows)} logs", header, rows)
+
+
+# Search and training of one direction.
+
+
+def search_section(context: DirectionContext) -> ReportSection:
+    """Return the section on the identification; its trace is in the model's units."""
+    trace, searches = context.trace, context.result.searches
+    blocks: list[Block] = []
+    pictures = []
+    if trace is not None:
+        blocks += [Text(sentence(notice)) for notice in trace.notices]
+        pictures += _trace_pictures(context, trace)
+    if searches:
+        blocks.append(search_table(context.direction, searches, context.unit))
+        pictures.append(
+            Picture(
+                context.figure_name("searches"),
+                figures.searches(searches, context.unit),
+                "Searches with equal evaluations: the median run, and the final error of each seed.",
+                f"Best RMSE over the evaluations for {', '.join(summary.name for summary in searches)}.",
+                data=figure_data.searches(searches, context.unit),
+            )
+        )
+    return ReportSection("Search and training", (*blocks, *([Pictures(tuple(pictures))] if pictures else [])))
+
+
+def _trace_pictures(context: DirectionContext, trace: ChannelTraceFile) -> Iterator[Picture]:
+    unit, search = context.data.unit, trace.phase1
+    caption = "Search: best fitness so far (weighted over the tests), and the parameters of the best member."
+    if len(search.searched) < len(search.uncertainty.parameters):
+        caption += " The plain form was searched; dotted: the model's form, which grew from it."
+    yield Picture(
+        context.figure_name("convergence"),
+        figures.convergence(search, unit),
+        caption,
+        "Best RMSE and the parameters that gave it, over the iterations of the search.",
+        data=figure_data.convergence(search, unit),
+    )
+    if trace.phase2 is not None:
+        yield Picture(
+            context.figure_name("losses"),
+            figures.losses(trace.phase2),
+            "Training of the LSTM correction; the epoch with the smallest validation loss is used.",
+            f"Losses over epochs; epoch {trace.phase2.best_epoch} is used.",
+            data=figure_data.losses(trace.phase2),
+        )
+    if trace.candidates:
+        chosen = next(candidate.name for candidate in trace.candidates if candidate.chosen)
+        yield Picture(
+            context.figure_name("structures"),
+            figures.structures(trace.candidates, unit),
+            _structures_caption(trace, unit),
+            f"RMSE of {len(trace.candidates)} structures; chosen: {chosen}.",
+            data=figure_data.structures(trace.candidates, unit),
+        )
+
+
+def _structures_caption(trace: ChannelTraceFile, unit: str) -> str:
+    caption = (
+        "Free-run RMSE of each structure, on all tests and in cross-validation over levels. A larger "
+        "structure is taken where it is significantly better in cross-validation, as shown or with a gain "
+        "fitted to each test, which this figure does not include; in the other of the two it must not be "
+        "significantly worse."
+    )
+    if trace.choice_held_out_rmse is not None:
+        error = f"{trace.choice_held_out_rmse:.4g} {unit}"
+        caption += f" On levels that neither fitted nor chose the structure: {error}."
+    return caption
+
+
+def origin_section(source: Origin, command: str) -> ReportSection:
+    """Return the section on reproducing the result.
+
+    Args:
+        source: origin of the model.
+        command: the command line that wrote the report.
+    """
+    provenance, current_versions = source.provenance, source.versions
+    model_versions = provenance.versions
+    rows = [
+        ("command", command),
+        ("model", provenance.name),
+        ("date of the model's files", provenance.date),
+        ("model's digest", provenance.digest),
+        ("seed of the identification", str(provenance.seed)),
+        ("sampling time", f"{source.step_s:g} s"),
+        *(
+            (f"set by hand: {direction}", ", ".join(f"{name} = {value:g}" for name, value in values.items()))
+            for direction, values in provenance.set_by_hand.items()
+        ),
+        *(
+            (f"version of {name}", _versions(model_versions.get(name), current_versions.get(name)))
+            for name in {**model_versions, **current_versions}
+        ),
+    ]
+    note = Text(
+        "The same logs, model and versions give the same figures; on another processor the last digits "
+        "may differ. The hashes of the logs are in the table of logs."
+    )
+    origin_table = Table("Origin", ("what", "value"), tuple(row for row in rows if row[1]))
+    settings = tuple(_toml_rows(_by_section(provenance.settings)))
+    settings_table = Table("Settings of the identification", ("setting", "value"), settings)
+    return ReportSection("How to reproduce", (note, origin_table, *([settings_table] if settings else [])))
+
+
+def _by_section(settings: Mapping[str, object]) -> Mapping[str, object]:
+    """Return settings in the sections of the settings file: those of each direction under its name."""
+    sections = {
+        name: _arguments(value) for name, value in settings.items() if name not in ("structure", "dead_zones")
+    }
+    forms, dead_zones = settings.get("structure"), settings.get("dead_zones")
+    for direction, form in forms.items() if isinstance(forms, Mapping) else ():
+        known_dead_zones = dead_zones if isinstance(dead_zones, Mapping) else {}
+        automatic = {"structure": "automatic"} if form.get("automatic") else {}
+        values = {name: value for name, value in form.items() if name != "automatic"}
+        sections[direction] = automatic | values | {"dead_zone": known_dead_zones.get(direction)}
+    return sections
+
+
+def _arguments(value: object) -> object:
+    """Return a setting; of a call as text, as in models saved by earlier versions, its keyword arguments."""
+    if not isinstance(value, str):
+        return value
+    try:
+        return _keywords(ast.parse(value, mode="eval").body)
+    except (SyntaxError, ValueError):
+        return value
+
+
+def _keywords(node: ast.expr) -> object:
+    if isinstance(node, ast.Call) and not node.args:
+        return {str(keyword.arg): _keywords(keyword.value) for keyword in node.keywords}
+    return ast.literal_eval(node)
+
+
+def _toml_rows(settings: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Yield key and value of each setting in TOML; settings without a value are left out."""
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            yield from _toml_rows(value, f"{prefix}{name}.")
+        elif value is not None:
+            yield f"{prefix}{name}", json.dumps(value, ensure_ascii=False)
+
+
+def _versions(model_version: str | None, current_version: str | None) -> str:
+    if model_version == current_version or current_version is None:
+        return model_version or ""
+    return (
+        current_version
+        if model_version is None
+        else f"{model_version} at identification, {current_version} now"
+    )

@@ -1,0 +1,172 @@
+"""A report as one self-contained HTML page."""
+
+from base64 import b64encode
+from hashlib import sha256
+from importlib.resources import files
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from hitchid._support.inert import html_value, script_json
+from hitchid.plots.style import COLOURS, DASHES, SHADES
+from hitchid.report.document import (
+    Document,
+    Equation,
+    Faint,
+    Findings,
+    Picture,
+    Pictures,
+    Rating,
+    Signals,
+    Table,
+    Text,
+)
+from hitchid.report.renderer import Renderer
+from hitchid.report.svg import inline_svg
+from hitchid.validation import Predictions
+from hitchid.validation.results import label
+
+# The unseen tests of a report as one self-contained interactive page.
+
+SCRIPTS = ("interactive-plots.js", "interactive-controls.js")
+SHOWN_FIRST = ("benchmark", "free_run", "one_step")  # drawn at first of a model; of several, all are; chosen
+
+
+class Interactive(Renderer):
+    """One HTML page with its own script: tests with zoom, synchronised cursors and read-out.
+
+    It requests nothing from outside; its content security policy permits its own script and style alone.
+    """
+
+    name, suffix = "interactive", ".html"
+
+    def render(self, document: Document) -> bytes:
+        """Return the page as UTF-8; a document without signals gives a page without a test."""
+        environment = Environment(
+            loader=PackageLoader("hitchid.report"),
+            autoescape=True,
+            finalize=html_value,
+            undefined=StrictUndefined,
+            trim_blocks=True,
+        )
+        style, script = _colours() + _template("interactive.css"), "".join(map(_template, SCRIPTS))
+        signals = document.signals
+        page = environment.get_template("interactive.html").render(
+            title=document.title,
+            subtitle=document.subtitle,
+            style=Markup(style),  # noqa: S704 - our own
+            script=Markup(script),  # noqa: S704 - our own
+            style_hash=_hash(style),
+            script_hash=_hash(script),
+            data=Markup(script_json({} if signals is None else _content(signals))),  # noqa: S704 - escaped
+        )
+        return page.encode("utf-8", errors="replace")
+
+
+def _template(name: str) -> str:
+    return (files("hitchid.report") / "templates" / name).read_text(encoding="utf-8")
+
+
+def _hash(text: str) -> str:
+    """Return the source of an inline script or style in a content security policy."""
+    return f"sha256-{b64encode(sha256(text.encode()).digest()).decode()}"
+
+
+def _colours() -> str:
+    """Return the colours of both schemes as CSS variables."""
+
+    def variables(scheme: str) -> str:
+        shades = (f"--{name.replace('_', '-')}: {getattr(shade, scheme)};" for name, shade in SHADES.items())
+        return f":root {{ {' '.join(shades)} }}\n"
+
+    return f"{variables('light')}@media (prefers-color-scheme: dark) {{ {variables('dark')} }}\n"
+
+
+def _content(signals: Signals) -> dict[str, object]:
+    return {
+        "unit": signals.unit,
+        "sections": {
+            name: [_test(tests, index, signals) for index in range(len(tests.names))]
+            for name, tests in signals.tests.items()
+        },
+    }
+
+
+def _test(tests: Predictions, index: int, signals: Signals) -> dict[str, object]:
+    band = tests.band
+    return {
+        "name": tests.names[index],
+        "time": _floats(tests.time_s[index]),
+        "measured": _floats(tests.actual[index]),
+        "band": None if band is None else [_floats(rows[index]) for rows in band],
+        "models": [
+            _series(model, rows[index], shown="free_run" not in tests.models or model in SHOWN_FIRST)
+            for model, rows in tests.models.items()
+        ],
+        "commands": [
+            {
+                "label": f"{name.replace('_', ' ')} / {signals.command_unit[name]}",
+                "values": _floats(rows[index]),
+                "colour": f"--{('one-step', 'benchmark')[number % 2]}",
+            }
+            for number, (name, rows) in enumerate(tests.commands.items())
+        ],
+    }
+
+
+def _series(model: str, values: np.ndarray, *, shown: bool) -> dict[str, object]:
+    colours = {shade.light: name.replace("_", "-") for name, shade in SHADES.items()}
+    return {
+        "key": model,
+        "label": label(model),
+        "values": _floats(values),
+        "colour": f"--{colours[COLOURS.get(model, COLOURS['ink'])]}",
+        "dash": [2 * length for length in DASHES.get(model, ())],
+        "shown": shown,
+    }
+
+
+def _floats(values: np.ndarray) -> str:
+    """Return values in single precision, little endian, in base64: a relative error below 6e-8."""
+    with np.errstate(over="ignore"):
+        return b64encode(np.asarray(values, dtype="<f4").tobytes()).decode()
+
+
+SIGNS = {Rating.GOOD: "✓", Rating.CAUTION: "!", Rating.BAD: "✗"}
+_KINDS = {Text: "text", Equation: "equation", Findings: "findings", Pictures: "pictures", Table: "table"}
+
+
+class Html(Renderer):
+    """One HTML page without scripts or external resources."""
+
+    name, suffix = "html", ".html"
+
+    def render(self, document: Document) -> bytes:
+        """Return the page as UTF-8; characters that cannot be encoded, as in names of logs, are replaced."""
+        return _page(document).encode("utf-8", errors="replace")
+
+
+def _page(document: Document) -> str:
+    environment = Environment(
+        loader=PackageLoader("hitchid.report"),
+        autoescape=True,
+        finalize=html_value,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+    )
+
+    def image(picture: Picture) -> Markup:
+        return Markup(inline_svg(picture.svg, picture.name, picture.alt))  # noqa: S704 - our own
+
+    environment.tests["faint"] = lambda cell: isinstance(cell, Faint)
+    template = environment.get_template("page.html")
+    return template.render(
+        document=document,
+        shades=SHADES,
+        signs=SIGNS,
+        image=image,
+        math=lambda equation: Markup(equation.mathml),  # noqa: S704 - our own
+        kind=lambda block: _KINDS[type(block)],
+        place=lambda titles: "-".join(titles).lower().replace(" ", "-"),
+    )

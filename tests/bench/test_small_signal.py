@@ -1,0 +1,111 @@
+"""The linearised lifting chain against the simulated one."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hitchid.bench import OperatingPoint, lowering_small_signal, simulate
+from hitchid.bench.small_signal import small_signal
+
+CURRENT_A = 0.62
+AMPLITUDE_A = 0.004
+SAMPLE_S = 0.01
+
+
+@pytest.fixture(scope="module")
+def linear_rig(rig):
+    """Return the nominal bench without hysteresis, without ripple."""
+    return eqx.tree_at(
+        lambda r: (r.lifting_valve.spool.hysteresis, r.lowering_valve.spool.hysteresis, r.supply.ripple),
+        rig,
+        (jnp.asarray(0.0),) * 3,
+    )
+
+
+def phasor(signal: np.ndarray, omega: float, time_s: np.ndarray) -> complex:
+    """Return amplitude and phase of a sine in a signal that drifts, by least squares."""
+    basis = np.column_stack([np.cos(omega * time_s), np.sin(omega * time_s), *(time_s**k for k in range(5))])
+    cosine, sine = np.linalg.lstsq(basis, signal, rcond=None)[0][:2]
+    return complex(cosine, -sine)
+
+
+def test_small_motions_follow_the_third_order_transfer_function(linear_rig):
+    """Spool current to displacement is K/(s(s²/ωh² + 2ξh s/ωh + 1)), behind the compensator's lag."""
+    omegas, time_s = 2 * np.pi * np.array([0.5, 1.0, 2.5, 5.0]), SAMPLE_S * np.arange(1001)
+    currents = np.zeros((4, time_s.size, 2))
+    currents[..., 0] = CURRENT_A + AMPLITUDE_A * np.sin(omegas[:, None] * time_s)
+    motion = simulate(linear_rig, currents, initial_displacement_m=0.1, substeps=20)
+    for row, omega in enumerate(omegas):
+        assert abs(_response(linear_rig, motion, row, omega, time_s) - 1) < 0.05
+
+
+def _response(rig, motion, row: int, omega: float, time_s: np.ndarray) -> complex:
+    """Return the simulated response over the linear one."""
+    late = slice(200, 900)
+    valve = rig.lifting_valve
+    displacement = np.asarray(motion.displacement_m)[row, late]
+    current = np.asarray(motion.lifting_spool)[row, late] * float(valve.spool.saturation)
+    found = 1e3 * phasor(displacement, omega, time_s[late]) / phasor(current, omega, time_s[late])
+    chain = small_signal(rig, OperatingPoint(float(np.mean(displacement)), CURRENT_A))
+    s = 1j * omega
+    lagged = (s / chain.natural_frequency) ** 2 + 2 * chain.damping_ratio * s / chain.natural_frequency + 1
+    drop = float(np.mean(np.asarray(motion.supply_pressure_pa - motion.pressure_pa)[row, late]))
+    opening = jnp.asarray(np.mean(np.asarray(motion.compensator_m2)[row, late]))
+    share = float(valve.metering_drop(opening)) / (drop - float(valve.check_pressure))
+    lag = float(valve.compensator_lag) * s
+    # the metering edge acts at once on its share of the pressure drop, the compensator later on the rest
+    return found / (chain.gain / (s * lagged) * (1 + share * lag) / (1 + lag))
+
+
+def test_small_motions_of_lowering_follow_theirs(linear_rig):
+    """The downward travel is K/(s(s²/ωh² + 2ξh s/ωh + 1)), up to, at and beyond its resonance."""
+    omegas, time_s = 2 * np.pi * np.array([0.5, 1.0, 1.5, 5.0]), SAMPLE_S * np.arange(1001)
+    currents = np.zeros((4, time_s.size, 2))
+    currents[..., 1] = CURRENT_A + AMPLITUDE_A * np.sin(omegas[:, None] * time_s)
+    motion = simulate(linear_rig, currents, initial_displacement_m=0.2, substeps=20)
+    # The swing at the start has died away by 4 s: exp(−ξh ωh · 4 s) < 1e-4.
+    late, saturation = slice(400, 800), float(linear_rig.lowering_valve.spool.saturation)
+    for row, omega in enumerate(omegas):
+        displacement = np.asarray(motion.displacement_m)[row, late]
+        current = saturation * np.asarray(motion.lowering_spool)[row, late]
+        found = -1e3 * phasor(displacement, omega, time_s[late]) / phasor(current, omega, time_s[late])
+        chain = lowering_small_signal(linear_rig, OperatingPoint(float(np.mean(displacement)), CURRENT_A))
+        s = 1j * omega
+        lagged = (s / chain.natural_frequency) ** 2 + 2 * chain.damping_ratio * s / chain.natural_frequency
+        assert abs(found / (chain.gain / (s * (lagged + 1))) - 1) < 0.05
+
+
+def test_gain_is_the_slope_of_steady_speed(linear_rig):
+    levels = np.array([CURRENT_A - 0.01, CURRENT_A + 0.01])
+    currents = np.zeros((4, 1001, 2))
+    currents[:, :, 0] = np.resize(levels, 4)[:, None]
+    motion = simulate(linear_rig, currents, initial_displacement_m=0.1)
+    moved = 1e3 * np.asarray(motion.displacement_m[:, 500] - motion.displacement_m[:, 300]) / 2.0
+    chain = small_signal(linear_rig, OperatingPoint(0.12, CURRENT_A))
+    assert (moved[1] - moved[0]) / 0.02 == pytest.approx(chain.gain, rel=0.02)
+
+
+def test_hydraulic_stiffness_and_mass_set_the_frequency(rig):
+    """ωh² ≈ A²/(m C), C the compliance of chamber and hose, load stiffness and losses being small."""
+    point = OperatingPoint(0.12, CURRENT_A)
+    chain = small_signal(rig, point)
+    _, mass, _ = rig.linkage.reduced(jnp.asarray(0.12))
+    hose = float(rig.cylinder.compliance)
+    oil = float(rig.cylinder.volume(jnp.asarray(0.12)) / rig.oil.bulk_modulus)
+    about = float(rig.cylinder.area) / np.sqrt(float(mass) * (hose + oil))
+    assert chain.natural_frequency == pytest.approx(about, rel=0.15)
+
+
+def test_cold_oil_damps(rig):
+    cold = small_signal(rig, OperatingPoint(0.12, CURRENT_A, oil_temperature_c=0.0))
+    warm = small_signal(rig, OperatingPoint(0.12, CURRENT_A, oil_temperature_c=80.0))
+    assert cold.damping_ratio > warm.damping_ratio
+    assert cold.natural_frequency == pytest.approx(warm.natural_frequency, rel=1e-3)
+
+
+def test_the_answer_does_not_depend_on_the_caller_s_precision(rig):
+    point = OperatingPoint(0.12, CURRENT_A)
+    with jax.enable_x64(False):
+        assert small_signal(rig, point) == small_signal(rig, point)

@@ -1,0 +1,354 @@
+"""Several time bases in one log: what comes out at each time is what was there at that time."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hitchid.errors import LogError
+from hitchid.logs import ReaderProcess, read_log
+from hitchid.logs.clocks import resample_to_common_clock
+from hitchid.logs.content import Content, LogChannel
+from hitchid.logs.log_table import table_of
+from hitchid.logs.signal_map import CampaignFile, Column, SignalMap
+
+EPS = np.finfo(np.float64).eps
+SOURCE = Path("log.mf4")
+FAST, SLOW = np.arange(1000) / 1000, np.arange(100) / 100
+SIGNALS = SignalMap(displacement=Column(column="x", unit="mm"), lifting_command=Column(column="i", unit="A"))
+
+
+def line(time_s):
+    return 7.0 + 30.0 * time_s
+
+
+def stepped(time_s, at=0.5):
+    return np.where(time_s < at, 0.0, 0.6)
+
+
+def merged(channels, signals=SIGNALS):
+    """Return the table of channels, name to clock and samples."""
+    given = {
+        name: LogChannel(np.asarray(values, dtype=float), clock_s=clock)
+        for name, (clock, values) in channels.items()
+    }
+    return table_of(Content(SOURCE, given), signals)
+
+
+def refused(channels, signals=SIGNALS):
+    with pytest.raises(LogError) as caught:
+        merged(channels, signals)
+    assert str(caught.value).startswith(f"{SOURCE}: ")
+    return str(caught.value)
+
+
+def in_force(stamps, values, wanted):
+    """Return the last value at or before each instant; before the first, the first."""
+    return np.array([values[max(0, np.flatnonzero(stamps <= at + 1e-9).max(initial=0))] for at in wanted])
+
+
+def assert_line(table):
+    """Check that the displacement is the straight line it was, at every stamp of the table."""
+    # Interpolation between two doubles near 37: a slope, a product and a sum.
+    np.testing.assert_allclose(table.signals["displacement"], line(table.time_s), rtol=0, atol=16 * EPS * 37)
+
+
+def test_a_fast_displacement_comes_to_the_clock_of_a_slow_command():
+    table = merged({"x": (FAST, line(FAST)), "i": (SLOW, stepped(SLOW))})
+    assert table.time_s.tobytes() == SLOW.tobytes()
+    assert_line(table)
+    np.testing.assert_array_equal(table.signals["lifting_command"], stepped(SLOW))
+    (notice,) = table.notices
+    for part in ("clock of i", "x 0.001 s", "i 0.01 s"):
+        assert part in notice
+    assert list(table.columns) == ["i", "x"]
+    assert {values.size for values in table.columns.values()} == {SLOW.size}
+
+
+def test_a_fast_command_comes_to_the_clock_of_a_slow_displacement_as_it_is_in_force():
+    rng = np.random.default_rng(3)
+    stamps = np.sort(rng.uniform(-0.1, 1.1, 900))
+    levels = rng.choice([0.0, 0.3, 0.6], stamps.size)
+    table = merged({"x": (SLOW, line(SLOW)), "i": (stamps, levels)})
+    truth = in_force(stamps, levels, table.time_s)
+    # A stamp within 2 % of a median interval after an instant counts as there already.
+    slack = 0.02 * np.median(np.diff(stamps))
+    sure = np.array([not np.any((stamps > at) & (stamps <= at + slack)) for at in table.time_s])
+    assert sure.mean() > 0.9
+    np.testing.assert_array_equal(table.signals["lifting_command"][sure], truth[sure])
+    np.testing.assert_array_equal(table.signals["displacement"], line(table.time_s))
+
+
+@pytest.mark.parametrize("roles", ["command", "lifting_command lowering_command"])
+def test_no_command_takes_a_value_between_its_levels(roles):
+    # Signed commands, too: a valve never saw the values between.
+    columns = {role: Column(column=role, unit="A") for role in roles.split()}
+    signals = SignalMap(displacement=Column(column="x", unit="mm"), **columns)
+    fast = FAST + 0.0004
+    commands = {role: (fast, np.sign(np.sin(40 * fast))) for role in columns}
+    table = merged({"x": (SLOW, line(SLOW)), **commands}, signals)
+    for role in ("lifting_command", "lowering_command"):
+        assert set(table.signals[role]) <= {-1.0, 0.0, 1.0}
+        assert len(set(table.signals[role])) == 2
+    up, down = (table.signals[role] for role in ("lifting_command", "lowering_command"))
+    truth = in_force(fast, np.sign(np.sin(40 * fast)), table.time_s)
+    np.testing.assert_array_equal(up - down if roles == "command" else up, truth)
+
+
+def test_a_covariate_is_interpolated_as_the_displacement_is():
+    signals = SIGNALS.model_copy(update={"covariates": (Column(column="p"),)})
+    offset = FAST + 0.00037
+    table = merged(
+        {"x": (FAST, line(FAST)), "i": (SLOW, stepped(SLOW)), "p": (offset, line(offset))}, signals
+    )
+    assert_line(table)
+    np.testing.assert_allclose(table.signals["p"], line(table.time_s), rtol=0, atol=16 * EPS * 37)
+
+
+@pytest.mark.parametrize(("start", "stop"), [(0.0, 1.0), (0.2, 1.0), (0.0, 0.7), (0.2034, 0.7071), (-3, 9)])
+def test_only_the_time_that_all_channels_share_is_left(start, stop):
+    fast = np.arange(round(start * 1000), round(stop * 1000)) / 1000
+    table = merged({"x": (fast, line(fast)), "i": (SLOW, stepped(SLOW))})
+    inside = [stamp for stamp in SLOW if fast[0] <= stamp <= fast[-1]]
+    assert set(inside) <= set(table.time_s)
+    assert table.time_s[0] >= fast[0] - 1e-9
+    assert table.time_s[-1] <= fast[-1] + 1e-9
+    assert_line(table)
+    np.testing.assert_array_equal(table.signals["lifting_command"], stepped(table.time_s))
+
+
+def test_three_clocks_share_what_all_of_them_cover():
+    signals = SIGNALS.model_copy(update={"covariates": (Column(column="p"),)})
+    x, i, p = FAST, SLOW + 0.2, np.arange(-0.1, 0.795, 0.002)
+    table = merged({"x": (x, line(x)), "i": (i, stepped(i)), "p": (p, line(p))}, signals)
+    np.testing.assert_array_equal(table.time_s, i[i <= p[-1]])
+    assert table.time_s[-1] == i[59]
+    assert_line(table)
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_equal_clocks_leave_every_bit_and_say_nothing(shared):
+    values = np.sqrt(np.arange(100.0))
+    table = merged({"x": (SLOW, values), "i": (SLOW if shared else SLOW.copy(), stepped(SLOW))})
+    assert table.notices == ()
+    assert table.time_s.tobytes() == SLOW.tobytes()
+    assert table.signals["displacement"].tobytes() == values.tobytes()
+    assert table.signals["lifting_command"].tobytes() == stepped(SLOW).tobytes()
+
+
+def test_a_channel_that_holds_the_time_counts_for_all():
+    stamps = SLOW + 5.0
+    given = {
+        "time_s": LogChannel(stamps),
+        "x": LogChannel(line(SLOW), clock_s=SLOW),
+        "i": LogChannel(stepped(SLOW), clock_s=SLOW + 2.0),
+    }
+    table = table_of(Content(SOURCE, given), SIGNALS)
+    assert table.time_s.tobytes() == stamps.tobytes()
+    assert table.signals["displacement"].tobytes() == line(SLOW).tobytes()
+    assert table.notices == ()
+
+
+@pytest.mark.parametrize("step_s", [0.02, 1.0])
+def test_a_slow_covariate_leaves_the_clock_to_the_motion(step_s):
+    signals = SIGNALS.model_copy(update={"covariates": (Column(column="p"),)})
+    slow = np.arange(0.0, 40.0, step_s)
+    clock = np.arange(4000) / 100
+    table = merged(
+        {"x": (clock, line(clock)), "i": (clock, stepped(clock)), "p": (slow, line(slow))}, signals
+    )
+    assert table.time_s.tobytes() == clock.tobytes()
+    assert table.signals["displacement"].tobytes() == line(clock).tobytes()
+    # Interpolated between its samples, held after the last.
+    np.testing.assert_allclose(
+        table.signals["p"], line(np.minimum(clock, slow[-1])), rtol=0, atol=16 * EPS * 1300
+    )
+
+
+def test_what_is_logged_on_change_is_held_until_it_changes():
+    signals = SIGNALS.model_copy(update={"covariates": (Column(column="mode"),)})
+    clock = np.arange(1000) / 100
+    changes, levels = np.array([0.0, 1.0, 1.35, 6.0]), np.array([0.0, 0.6, 0.4, 0.0])
+    modes = np.array([3.0, 4.0, 4.0, 5.0])
+    channels = {"x": (clock, line(clock)), "i": (changes, levels), "mode": (changes, modes)}
+    table = merged(channels, signals)
+    assert table.time_s.tobytes() == clock.tobytes()
+    np.testing.assert_array_equal(table.signals["lifting_command"], in_force(changes, levels, clock))
+    np.testing.assert_array_equal(table.signals["mode"], in_force(changes, modes, clock))
+    assert not any("dead times" in notice for notice in table.notices)
+
+
+def test_a_command_that_is_polled_rarely_is_held_and_named():
+    clock, polled = np.arange(4000) / 100, np.arange(40.0)
+    table = merged({"x": (clock, line(clock)), "i": (polled, stepped(polled, 7.0))})
+    np.testing.assert_array_equal(table.signals["lifting_command"], stepped(table.time_s, 7.0))
+    assert table.time_s.size == 3951  # half a step after the last poll nothing is known of the command
+    assert any("i is sampled every 1 s, x every 0.01 s" in notice for notice in table.notices)
+
+
+# --- gaps ---------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_made_up_within_a_gap_of_a_fast_channel():
+    outside = (FAST < 0.4) | (FAST >= 0.5)
+    fast = FAST[outside]
+    table = merged({"x": (fast, line(fast)), "i": (SLOW, stepped(SLOW))})
+    distance = np.abs(table.time_s[:, None] - fast).min(axis=1)
+    assert distance.max() <= 1e-9
+    assert set(table.time_s) == set(SLOW[(SLOW < 0.4) | (SLOW >= 0.5)])
+    assert_line(table)
+
+
+def test_a_dropout_shorter_than_a_step_of_the_slow_clock_is_no_gap():
+    fast = np.delete(FAST, slice(405, 414))
+    table = merged({"x": (fast, line(fast)), "i": (SLOW, stepped(SLOW))})
+    assert table.time_s.tobytes() == SLOW.tobytes()
+    assert_line(table)
+
+
+def two_groups(path, fast):
+    """Write an MF4 log of two groups, each on its own clock, and return its path."""
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version="4.10") as log:
+        for name, unit, stamps, values in (
+            ("x", "mm", fast, line(fast)),
+            ("i", "A", SLOW, stepped(SLOW)),
+        ):
+            log.append([asammdf.Signal(values, stamps, name=name, unit=unit)], acq_name=name)
+        log.save(path)
+    return path
+
+
+def test_a_gap_in_the_fast_channel_of_a_log_cuts_its_record_in_two(tmp_path):
+    fast = FAST[(FAST < 0.3) | (FAST >= 0.6)]
+    path = two_groups(tmp_path / "log.mf4", fast)
+    with ReaderProcess() as process:
+        before, after = read_log(path, CampaignFile(signals=SIGNALS), process)
+    assert (before.name, after.name) == ("log@1", "log@2")
+    assert (len(before), len(after)) == (30, 40)
+    assert any("clock of i" in str(notice) for notice in before.notices)
+    assert any("gap of 0.31 s" in str(notice) for notice in after.notices)
+    for record in (before, after):
+        assert record.step_s == 0.01
+        np.testing.assert_allclose(record.displacement, line(record.time_s), rtol=0, atol=32 * EPS * 37)
+        np.testing.assert_array_equal(record.command("lifting"), stepped(np.round(record.time_s, 9)))
+
+
+def test_two_groups_may_call_their_clocks_alike(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        for group, name, stamps, values in (("a", "x", FAST, line(FAST)), ("b", "i", SLOW, stepped(SLOW))):
+            time = file.create_dataset(f"{group}/time_s", data=stamps)
+            time.make_scale("time_s")
+            time.attrs["units"] = "s"
+            file.create_dataset(f"{group}/{name}", data=values).dims[0].attach_scale(time)
+    with ReaderProcess() as process:
+        (record,) = read_log(tmp_path / "log.h5", CampaignFile(signals=SIGNALS), process)
+    assert len(record) == SLOW.size
+    np.testing.assert_allclose(record.displacement, line(SLOW), rtol=0, atol=16 * EPS * 37)
+    np.testing.assert_array_equal(record.command("lifting"), stepped(SLOW))
+
+
+# --- clocks that cannot be used -----------------------------------------------------------------------------
+
+
+def test_channels_without_common_time_are_refused():
+    assert "do not overlap" in refused({"x": (FAST, line(FAST)), "i": (SLOW + 5.0, stepped(SLOW))})
+
+
+@pytest.mark.parametrize("bad", ["x", "i"])
+def test_time_that_runs_back_is_refused_by_the_channels_name(bad):
+    stamps = SLOW.copy()
+    stamps[50] = stamps[49] - 0.5
+    channels = {"x": (FAST, line(FAST)), "i": (SLOW, stepped(SLOW))}
+    said = refused({**channels, bad: (stamps, np.zeros(100))})
+    assert f"column '{bad}'" in said
+    assert f"{stamps[50]:g} s follows {stamps[49]:g} s" in said
+
+
+@pytest.mark.parametrize("row", [0, 499, 500, 999])
+@pytest.mark.parametrize("shift", [0, 1])
+def test_of_samples_with_one_stamp_the_displacement_takes_the_one_that_fits(row, shift):
+    # The stray value stands before or after the true one, at the ends too.
+    stamps, values = np.insert(FAST, row, FAST[row]), np.insert(line(FAST), row + shift, 1e6)
+    assert_line(merged({"x": (stamps, values), "i": (SLOW, stepped(SLOW))}))
+
+
+def test_of_samples_with_one_stamp_a_command_takes_the_last():
+    stamps = np.insert(FAST, 500, FAST[500])
+    values = np.insert(stepped(FAST), 500, 0.0)  # at 0.5 s: before the step, then after it
+    table = merged({"x": (FAST, line(FAST)), "i": (stamps, values)})
+    np.testing.assert_array_equal(table.signals["lifting_command"], stepped(FAST))
+
+
+@pytest.mark.parametrize("bad", ["x", "i"])
+def test_a_channel_without_a_clock_is_refused_by_name_with_the_way_out(bad):
+    channels = {"x": (FAST, line(FAST)), "i": (SLOW, stepped(SLOW))}
+    said = refused({**channels, bad: (None, np.zeros(100))})
+    assert f"column '{bad}'" in said
+    assert 'campaign.toml: time = "…"' in said
+
+
+@pytest.mark.parametrize("samples", [0, 1])
+def test_a_channel_of_one_sample_has_no_clock(samples):
+    said = refused({"x": (FAST, line(FAST)), "i": (SLOW[:samples], np.zeros(samples))})
+    assert "column 'i'" in said
+    assert f"{samples} samples" in said
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_clock_that_is_not_finite_is_refused(value):
+    stamps = FAST.copy()
+    stamps[500] = value
+    assert "column 'x'" in refused({"x": (stamps, line(FAST)), "i": (SLOW, stepped(SLOW))})
+
+
+# --- whatever the clocks ------------------------------------------------------------------------------------
+
+clocks = st.builds(
+    lambda step_ms, start_ms, samples: (start_ms + step_ms * np.arange(samples)) / 1000,
+    st.integers(1, 20),
+    st.integers(-200, 200),
+    st.integers(60, 900),
+)
+
+
+@given(x=clocks, i=clocks, p=clocks, order=st.permutations(["x", "i", "p"]))
+def test_the_order_of_the_channels_does_not_matter_and_a_line_stays_one(x, i, p, order):
+    signals = SIGNALS.model_copy(update={"covariates": (Column(column="p"),)})
+    channels = {"x": (x, line(x)), "i": (i, stepped(i, 0.2)), "p": (p, line(p))}
+    try:
+        table = merged(channels, signals)
+    except LogError as error:
+        assert "do not overlap" in str(error)  # noqa: PT017
+        with pytest.raises(LogError, match="do not overlap"):
+            merged({name: channels[name] for name in order}, signals)
+        return
+    again = merged({name: channels[name] for name in order}, signals)
+    assert again.time_s.tobytes() == table.time_s.tobytes()
+    assert again.notices == table.notices
+    for role, samples in table.signals.items():
+        assert again.signals[role].tobytes() == samples.tobytes()
+    # Stamps and values up to 18 s and 550 mm, a slope over at least 1 ms. A covariate may be held for a step.
+    np.testing.assert_allclose(table.signals["displacement"], line(table.time_s), rtol=0, atol=64 * EPS * 550)
+    covariate = line(np.clip(table.time_s, p[0], p[-1]))
+    np.testing.assert_allclose(table.signals["p"], covariate, rtol=0, atol=64 * EPS * 550)
+    nearest = np.abs(table.time_s[:, None] - i).min(axis=1)
+    assert nearest.max() <= max(np.diff(clock)[0] for clock in (x, i)) / 2 + 1e-9
+    assert np.abs(table.time_s[:, None] - p).min(axis=1).max() <= np.diff(p)[0] + 1e-9
+    assert set(table.signals["lifting_command"]) <= {0.0, 0.6}
+
+
+def test_a_time_that_a_channels_own_clock_gives_the_lie_is_refused():
+    time = np.arange(200) / 100
+    slow = LogChannel(np.arange(200.0), clock_s=2 * time)
+    shifted = LogChannel(np.arange(200.0), clock_s=time + 5.0)
+    names = {"displacement": "x"}
+    kept, _, _ = resample_to_common_clock(
+        Path("log.tdms"), LogChannel(time), {"displacement": shifted}, names
+    )
+    np.testing.assert_array_equal(kept, time)
+    with pytest.raises(LogError, match=r"column 'x': .*3\.98 s.*1\.99 s"):
+        resample_to_common_clock(Path("log.tdms"), LogChannel(time), {"displacement": slow}, names)
