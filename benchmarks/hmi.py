@@ -6,11 +6,15 @@ Run: python -m benchmarks.hmi [--minutes 1]; exit code 1 where a bar is missed.
 import argparse
 import csv
 import os
+import subprocess
 import sys
 import tempfile
 import threading
 import time
 import urllib.parse
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -24,15 +28,19 @@ from operated import Operator, process_time_s, resident_mb, served
 import fake_bench
 from browser import chromium
 from hitchid.hmi.bench_loop import BenchLoop
+from hitchid.hmi.bench_process import run_in_real_time
 from hitchid.hmi.safety import State
 
 STOPS = 40  # stops of a running bench, each a click in the page
 WARM_UP_S = 15  # after which buffers have their size
 TICKS = 10_000
+TICKS_IN_TIME = 3000  # at 100 Hz
 BARS = {
     "tick, p99.9 / ms": 2.0,
     "tick with a frozen disk, p99.9 / ms": 2.0,
     "frozen disk known to zero command / ms": 200.0,
+    "tick while 4 GB are taken, p99.9 / ms": 2.0,
+    "silent sensor known to zero command then / ms": 200.0,
     "start to first picture / s": 4.0,
     "sample to pixel, p95 / ms": 150.0,
     "time between frames, mean / ms": 50.0,  # 20 frames a second
@@ -43,6 +51,14 @@ BARS = {
     "samples missing or twice in the recording": 0.0,
     "requests to other machines": 0.0,
 }
+# Another program: takes 4 GB, writes to all of them, gives them back, and begins anew.
+TAKE_MEMORY = """
+import mmap
+while True:
+    with mmap.mmap(-1, 4 * 10**9) as memory:
+        for begin in range(0, len(memory), 10**6):
+            memory[begin : begin + 10**6] = bytes(range(250)) * 4000
+"""
 LONG_TEST = "time_s,lifting_command,lowering_command\n0,0.45,0\n600,0.45,0\n"
 
 # In the page: arm and start slow lifting, click stop at a random time, return the time until the first sample
@@ -71,36 +87,78 @@ CLICK_TO_ZERO = """async (name) => {
 }"""
 
 
-def ticks() -> dict[str, float]:
-    """Return how long ticks of a run take that is recorded, and of one whose disk freezes under it.
+@contextmanager
+def running() -> Iterator[fake_bench.Bench]:
+    """Yield the loop of a machine that moves by 0.1 mm/s, recorded.
 
     The machine is in plain Python: what takes time is the loop itself.
     """
-    thawed, write = threading.Event(), os.write
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
-        root = Path(folder)
+        root, plant = Path(folder), fake_bench.Plant()
         (root / "limits.toml").write_text(fake_bench.LIMITS_FILE)
         (root / "uploads").mkdir()
-        (root / "uploads" / "hold.csv").write_text(LONG_TEST.replace("0.45", "0.351"))  # 0.1 mm/s
-        patch.setattr(fake_bench, "made", fake_bench.Plant, raising=False)
-        loop = BenchLoop(root, limits_file=root / "limits.toml")
-        bench = fake_bench.Bench(loop, None)
+        (root / "uploads" / "hold.csv").write_text(LONG_TEST.replace("0.45", "0.351"))
+        patch.setattr(fake_bench, "made", lambda: plant, raising=False)
+        bench = fake_bench.Bench(BenchLoop(root, limits_file=root / "limits.toml"), plant)
         bench.ask("connect", source="fake_bench:made")
         bench.ask("record", on=True)
         bench.run(kind="file", name="hold", file="uploads/hold.csv")
+        yield bench
+        bench.loop.close()
+
+
+def ticks() -> dict[str, float]:
+    """Return how long ticks of a run take, and of one whose disk freezes under it."""
+    thawed, write = threading.Event(), os.write
+    with running() as bench, pytest.MonkeyPatch.context() as patch:
         usual = [_duration_ms(bench) for _ in range(TICKS)]
         patch.setattr(os, "write", lambda *given: thawed.wait(60) and write(*given))
-        frozen, begin_s = [], time.monotonic()
-        while bench.state is State.RUNNING and time.monotonic() - begin_s < 10:
-            frozen.append(_duration_ms(bench))
+        frozen = _until_stopped(bench)
         thawed.set()
-        is_closed = bench.state is State.STOPPED and not loop.commands.any()
-        loop.close()
+        return {
+            "tick, p99.9 / ms": float(np.percentile(usual, 99.9)),
+            "tick with a frozen disk, p99.9 / ms": float(np.percentile(frozen, 99.9)),
+            "frozen disk known to zero command / ms": frozen[-1] if _is_closed(bench) else np.inf,
+        }
+
+
+def ticks_while_memory_is_taken() -> dict[str, float]:
+    """Return how long ticks take, with the priority of the bench process, until the sensor falls silent."""
+    taking = subprocess.Popen([sys.executable, "-c", TAKE_MEMORY])  # noqa: S603 - this Python
+    try:
+        with running() as bench, ThreadPoolExecutor(1, initializer=run_in_real_time) as real_time:
+            usual = real_time.submit(_in_time, bench).result()
+            bench.plant.is_silent = True
+            silent = real_time.submit(_until_stopped, bench).result()
+            bench.tick(100)  # it stays stopped
+            known_to_zero_ms = silent[-1] if _is_closed(bench) else np.inf
+    finally:
+        taking.kill()
+        taking.wait()
     return {
-        "tick, p99.9 / ms": float(np.percentile(usual, 99.9)),
-        "tick with a frozen disk, p99.9 / ms": float(np.percentile(frozen, 99.9)),
-        "frozen disk known to zero command / ms": frozen[-1] if is_closed else np.inf,
+        "tick while 4 GB are taken, p99.9 / ms": float(np.percentile(usual, 99.9)),
+        "silent sensor known to zero command then / ms": known_to_zero_ms,
     }
+
+
+def _in_time(bench: fake_bench.Bench) -> list[float]:
+    durations, due_s = [], time.monotonic()
+    for _ in range(TICKS_IN_TIME):
+        durations.append(_duration_ms(bench))
+        due_s += fake_bench.STEP_S
+        time.sleep(max(0.0, due_s - time.monotonic()))
+    return durations
+
+
+def _until_stopped(bench: fake_bench.Bench) -> list[float]:
+    durations, begin_s = [], time.monotonic()
+    while bench.state is State.RUNNING and time.monotonic() - begin_s < 10:
+        durations.append(_duration_ms(bench))
+    return durations
+
+
+def _is_closed(bench: fake_bench.Bench) -> bool:
+    return bench.state is State.STOPPED and not bench.loop.commands.any()
 
 
 def _duration_ms(bench: fake_bench.Bench) -> float:
@@ -195,7 +253,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=1.0, help="of live signals")
     minutes = parser.parse_args().minutes
     try:
-        figures = ticks() | measure(minutes)
+        figures = ticks() | ticks_while_memory_is_taken() | measure(minutes)
     except pytest.skip.Exception as reason:  # of what drives the browser
         show(f"the operator's page is not measured: {reason}")
         return

@@ -43,15 +43,19 @@ def test_the_code_generator_is_chosen_where_that_was_tried(monkeypatch, set_by_u
     assert environment.get("XLA_FLAGS") == expected
 
 
-def test_the_installed_version_knows_the_flag():
-    environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
+def test_the_installed_version_knows_the_flag_and_a_cut_entry_of_the_cache_is_not_told(tmp_path):
+    unset = ("XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR")
+    environment = {name: value for name, value in os.environ.items() if name not in unset}
+    environment["XDG_CACHE_HOME"] = str(tmp_path)
     program = (
         "from hitchid._support.jax_setup import prepare_jax; prepare_jax(); import os, jax; "
         "print(jax.jit(lambda x: x + 1)(1.0), os.environ['XLA_FLAGS'])"
     )
 
-    run = subprocess.run(  # noqa: S603
-        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
-    )
-
-    assert run.stdout.split() == ["2.0", jax_setup.CODE_GENERATOR]
+    for _ in range(2):
+        run = subprocess.run(  # noqa: S603
+            [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+        )
+        assert (run.stdout.split(), run.stderr) == (["2.0", jax_setup.CODE_GENERATOR], "")
+        (entry,) = (tmp_path / "hitchid" / "compiled").glob("*-cache")
+        os.truncate(entry, entry.stat().st_size // 2)

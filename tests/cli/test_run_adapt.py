@@ -1,6 +1,10 @@
 """`hitchid run --adapt`: what it learns is written to a change log, gone on from, and saved at the end."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -82,6 +86,32 @@ def test_it_learns_writes_what_and_saves_the_model(folder, tmp_path):
     for mode, channel in expected.channels.items():
         assert again.channels[mode].dead_zone == channel.dead_zone
         np.testing.assert_array_equal(again.channels[mode].benchmark.values, channel.benchmark.values)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(os.name == "nt", reason="signals are others there")
+@pytest.mark.parametrize("reads", [True, False])
+def test_ctrl_c_is_the_end_of_the_input_also_where_it_ends_the_reader(folder, tmp_path, reads):
+    command = [sys.executable, "-m", "hitchid", "run", folder, "--adapt", "--save", tmp_path / "saved"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(  # noqa: S603 - this Python, the command under test
+        command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, start_new_session=True
+    ) as child:
+        child.stdin.write(lines(STROKES[:2]))
+        child.stdin.flush()
+        for _ in range(2 * SAMPLES):
+            child.stdout.readline()
+        if not reads:
+            child.stdout.close()
+            child.stdin.write("{}")  # the beginning of a line: answered at the end of the input
+            child.stdin.flush()
+        os.killpg(child.pid, signal.SIGINT)  # as a terminal does
+        said = child.stderr.read()
+        child.wait()
+    assert said.splitlines()[1] == "adaptation: 2 strokes learned from, 0 refused"
+    assert (tmp_path / "saved").is_dir()
+    if reads:
+        assert child.returncode == 0
 
 
 def test_it_goes_on_from_a_change_log(folder, tmp_path):

@@ -290,6 +290,22 @@ def test_a_stale_first_stamp_costs_two_samples(first_s, initial):
     assert answers[-1].displacement is not None
 
 
+@pytest.mark.parametrize("every_s", [0.02, 1.0, 2.0, 20.0])
+@pytest.mark.parametrize("late_s", [0.0, 99.0])
+def test_a_slow_stream_is_late_by_its_own_interval_alone(every_s, late_s):
+    """One bad stamp in it costs itself."""
+    live = Live(MODEL)
+    for number in range(3):
+        live.process(full(every_s * number))
+    if late_s:
+        assert said(live.process(full(every_s * 3 + late_s)), "doubtful")
+    for number in range(3, 12):
+        answer = live.process(full(every_s * number))
+        assert (answer.flags, answer.time_s) == ((), pytest.approx(every_s * number + STEP_S))
+    late = live.process(full(every_s * 13))
+    assert said(late, "late" if 2 * every_s <= KEPT_S else "doubtful")
+
+
 def test_a_clock_set_far_back_starts_anew():
     live, other = running()[0], Live(MODEL)
     for number in range(AGREEING):

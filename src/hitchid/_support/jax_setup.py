@@ -1,6 +1,7 @@
 """How programs of JAX are compiled, and the user's cache of compiled ones."""
 
 import os
+import warnings
 from collections.abc import Callable
 from functools import wraps
 from importlib.metadata import PackageNotFoundError, version
@@ -65,6 +66,8 @@ def prepare_jax() -> None:
         # Small programs too: hundreds of them take longer to compile than the large ones.
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+        # An entry of a killed process may be cut, and stays so: JAX compiles its program anew, without harm.
+        warnings.filterwarnings("ignore", r"Error \w+ persistent compilation cache entry")
 
 
 def choose_code_generator() -> None:

@@ -1,8 +1,11 @@
 """`hitchid run`: online prediction, sample by sample from standard input."""
 
+import os
+import signal
 import sys
 from collections import Counter
-from contextlib import ExitStack, closing
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -69,12 +72,41 @@ def run(
                 identified, load=loads, log=take, earlier=log.earlier if log else ()
             )
         live = Live(identified, initial=initial, load=loads, adaptation=adaptation)
-        _answer_lines(live, identified.step_s)
-        if adaptation is not None:
+        if adaptation is None:
+            _answer_lines(live, identified.step_s)
+        else:
+            with _ctrl_c_ends_input():
+                _answer_lines(live, identified.step_s)
             adaptation.finish()
             show_adaptation(identified, adaptation.changes, counts)
             if save is not None:
                 save_model(adaptation.model, save, force=force)
+
+
+@contextmanager
+def _ctrl_c_ends_input() -> Iterator[None]:
+    """Let Ctrl-C end the input instead of the program, a second one end the program."""
+    # The thread behind it ends the program soon after Ctrl-C; what is learned and saved may take longer.
+    wakeup, is_ended = signal.set_wakeup_fd(-1), False
+
+    def end(*_: object) -> None:
+        nonlocal is_ended
+        is_ended = True
+        os.dup2(os.open(os.devnull, os.O_RDONLY), sys.stdin.fileno())
+        restore()
+
+    def restore() -> None:
+        signal.signal(signal.SIGINT, usual)
+        signal.set_wakeup_fd(wakeup, warn_on_full_buffer=False)
+
+    usual = signal.signal(signal.SIGINT, end)
+    try:
+        yield
+    except BrokenPipeError:  # in a pipe, Ctrl-C ends who reads the answers as well
+        if not is_ended:
+            raise
+    finally:
+        restore()
 
 
 def _answer_lines(live: "Live", step_s: float) -> None:

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -36,6 +35,11 @@ class Reference(NamedTuple):
     def at_rest(cls, position: Scalar) -> "Reference":
         """Return the reference that stands at a position."""
         return cls(position, jnp.zeros(()), jnp.zeros(()))
+
+    def at_rest_where(self, stands: Bool[Array, ""], position: Scalar) -> "Reference":
+        """Return this reference, or that which stands at a position."""
+        anew = Reference.at_rest(position)
+        return Reference(*(jnp.where(stands, *pair) for pair in zip(anew, self, strict=True)))
 
 
 @short_repr
@@ -257,15 +261,12 @@ def _step(
     target = jnp.where(jnp.isfinite(target), target, state.target)
     limits = controller.limits_at(position)
     target_speed = _target_speed(state, target, limits, controller.step_s)
-    axes = tuple(zip(controller.axes, state.axes, strict=True))
-    (lifting, lifting_state), (lowering, lowering_state) = axes
+    (lifting, lifting_state), (lowering, lowering_state) = zip(controller.axes, state.axes, strict=True)
     predicted = position + lifting.under_way(lifting_state) + lowering.under_way(lowering_state)
     speed = lifting.speed(lifting_state) + lowering.speed(lowering_state)
     acceleration = lifting.acceleration(lifting_state) + lowering.acceleration(lowering_state)
     restarts = is_lost | state.is_lost
-    start = jax.tree.map(
-        lambda now, anew: jnp.where(restarts, anew, now), state.reference, Reference.at_rest(predicted)
-    )
+    start = state.reference.at_rest_where(restarts, predicted)
     led = _led_target(controller, target, target_speed)
     # A hitch that is faster than its model takes the reference with it, so that it brakes in time.
     taken = jnp.clip(predicted, jnp.minimum(start.position, led), jnp.maximum(start.position, led))
@@ -290,18 +291,12 @@ def _step(
     integral = jnp.where(closed, 0.0, integral)
     currents = jnp.where(closed, 0.0, currents)
     currents = jnp.minimum(currents, state.commands + controller.rate * controller.step_s)
-    advanced = (
-        lifting.step(lifting_state, currents[0], position),
-        lowering.step(lowering_state, currents[1], position),
-    )
-    reference = jax.tree.map(
-        lambda moving, at_rest: jnp.where(is_holding, at_rest, moving),
-        reference,
-        Reference.at_rest(reference.position),
-    )
     next_state = ControllerState(
-        axes=advanced,
-        reference=reference,
+        axes=(
+            lifting.step(lifting_state, currents[0], position),
+            lowering.step(lowering_state, currents[1], position),
+        ),
+        reference=reference.at_rest_where(is_holding, reference.position),
         integral=integral,
         is_holding=is_holding,
         widening=widening,

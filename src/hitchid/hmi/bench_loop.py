@@ -93,6 +93,11 @@ class BenchLoop:
         """Time between ticks, s."""
         return self._connected.source.step_s if self._connected else TICK_S
 
+    @property
+    def is_virtual(self) -> bool:
+        """Whether there is a source that is no real machine."""
+        return self._connected is not None and self._connected.source.virtual
+
     def server_alive(self, now_s: float) -> None:
         """Take a sign of life of the server."""
         self._safety = replace(self._safety, server_s=max(self._safety.server_s, now_s))
@@ -164,8 +169,7 @@ class BenchLoop:
     @property
     def _latest_s(self) -> float:
         """How late a tick may be, s; a virtual source stands still meanwhile, and so holds no old command."""
-        is_virtual = self._connected is not None and self._connected.source.virtual
-        return self._longest_silence_s if is_virtual else LATEST_S
+        return self._longest_silence_s if self.is_virtual else LATEST_S
 
     def _check_disk(self) -> None:
         """Stop, and end the recording, where a log is not written."""

@@ -35,6 +35,7 @@ MOST_WAITING = 1000  # requests that wait, before the server has to; chosen
 SWITCH_S = 0.0005
 # Where the user may: the loop goes before other programs, and is ended last where memory runs out; chosen.
 PRIORITY, OOM_SCORE = -10, "-500"
+REAL_TIME_PRIORITY = 1  # the lowest: before all that is not in real time, behind what the user made so
 JSON_MARK, BLOCK_MARK = b"j", b"b"
 
 
@@ -87,6 +88,13 @@ class Link:
         rows = np.array([(reading.time_s, *reading.values) for reading in readings])
         header = np.array([1e3 * time.time(), rows.shape[1]]).tobytes()
         self._outbox.put(BLOCK_MARK + header + rows.tobytes(), is_block=True)
+
+
+def run_in_real_time(*, wanted: bool = True) -> None:
+    """Let this thread go before all others, where the user may: a busy computer else delays its ticks."""
+    with contextlib.suppress(OSError, AttributeError):  # AttributeError: not on macOS
+        policy, priority = (os.SCHED_FIFO, REAL_TIME_PRIORITY) if wanted else (os.SCHED_OTHER, 0)
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
 
 
 def run(loop: BenchLoop, link: Link) -> None:
@@ -144,6 +152,8 @@ def _answer(loop: BenchLoop, link: Link, request: dict) -> None:
         error = str(problem)
     except Exception as problem:  # a source or controller of a user; the loop goes on with closed valves
         error = f"{type(problem).__name__}: {problem}"
+    if kind == "connect":  # a virtual bench may be asked for more than a core has, and would take all of it
+        run_in_real_time(wanted=not loop.is_virtual)
     if kind in ("connect", "arm"):  # which take long: what waited meanwhile is no silence
         loop.server_alive(time.monotonic())
         loop.page_alive(time.monotonic())

@@ -120,7 +120,8 @@ class Server:
         asyncio.get_running_loop().set_exception_handler(self._tell_problem)
         tasks = [asyncio.create_task(self._console.keep_alive()), asyncio.create_task(self._end_unfinished())]
         try:
-            yield
+            with contextlib.suppress(asyncio.CancelledError):  # by a second Ctrl-C, which is no failure
+                yield
         finally:
             for task in tasks:
                 task.cancel()

@@ -4,6 +4,7 @@ import json
 import math
 from collections import deque
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -90,6 +91,7 @@ MAX_GAP_SAMPLES = 1000  # longest gap that is simulated, 10 s at 100 Hz; a longe
 KEPT_S = 1.0
 LEAST_KEPT = 10  # samples of a slow model that are kept however long they take: a few may be lost; chosen
 AGREEING = 5  # samples in a row whose clock is followed although it jumps: 0.05 s at 100 Hz; chosen
+USUAL = 1.5  # times the shortest of its latest intervals, within which the next sample is on time; chosen
 STANDING = "standing"  # `Output.mode` before any channel was active
 DIGITS = 9  # decimals of `Output.time_s`: 1 ns, removes rounding errors
 MAX_MAGNITUDE = 1e9  # a command or displacement beyond it, in its unit, is taken as missing; chosen
@@ -126,7 +128,8 @@ class Live:
     sampling time; a second one for the same time replaces the first. A missing command keeps its last value;
     without a measured displacement the model simulates from the commands. Steps without a sample are
     simulated; samples out of order are ignored. A sample that left a gap is taken back where the next one
-    belongs into that gap. A clock that jumps by more than a second is followed once five samples agree.
+    belongs into that gap. A clock that jumps by more than a second, and by more than the stream's own
+    interval, is followed once five samples agree.
     Functions are compiled before the first sample.
 
     With an adaptation `learn` is to be called after each output, once that is on its way; where it was not,
@@ -167,6 +170,7 @@ class Live:
         # Two more: the sample before a gap, and the one after it.
         self._history: deque[tuple[Packed | None, Sample]] = deque(maxlen=self._most_taken_back + 2)
         self._unused_s: deque[float] = deque(maxlen=2 * AGREEING)
+        self._heard_s: deque[float] = deque(maxlen=AGREEING)  # latest stamps, used or not
         self._measured = False
         self._line = ""
         self._unlearned: list[Sample] = []
@@ -191,13 +195,15 @@ class Live:
         if self._origin_s is None or (stamped and before_s == -math.inf):
             self._set_clock(time_s)
         offset = _round_samples((time_s - self._next_sample_s) / self._model.step_s)
-        doubtful = stamped and self._is_doubtful(stamp, offset)
+        usual_s = self._usual_s(stamp)
+        doubtful = stamped and self._is_doubtful(stamp, offset, usual_s)
         if doubtful and not self._is_agreed(stamp):
             doubt = "out of order" if stamp <= before_s else "doubtful"
             return self._output([*flags, f"{doubt}: {stamp:.12g} s follows {before_s:.12g} s"])
         skipped, replaced = [], {}
         if offset > 0:
-            flags.append(f"late: {offset} samples are missing before {time_s:.12g} s")
+            if stamp - before_s > usual_s:
+                flags.append(f"late: {offset} samples are missing before {time_s:.12g} s")
             skipped = self._fill_gap(offset, sample)
         elif offset < 0 and (doubtful or -offset > len(self._history)):
             flags.append(f"the clock was set back from {self._next_sample_s:.12g} s to {stamp:.12g} s")
@@ -255,10 +261,21 @@ class Live:
         self._origin_s, self._steps, self._latest_s = time_s, 0, -math.inf
         self._history.clear()
 
-    def _is_doubtful(self, stamp: float, offset: int) -> bool:
-        """Return whether a time stamp alone is not believed: from the past, or far ahead."""
+    def _usual_s(self, stamp: float) -> float:
+        """Take in a time stamp; return how long after another one it is on time, s; 0 where not known."""
+        if math.isfinite(stamp):
+            self._heard_s.append(stamp)
+        intervals_s = [later - earlier for earlier, later in pairwise(sorted(set(self._heard_s)))]
+        return USUAL * min(intervals_s) if len(intervals_s) > 1 else 0.0
+
+    def _is_doubtful(self, stamp: float, offset: int, usual_s: float) -> bool:
+        """Return whether a time stamp alone is not believed: from the past, or far ahead.
+
+        In a stream that is as slow, far ahead is usual.
+        """
         if offset >= 0:
-            return offset > self._most_taken_back
+            since_s = stamp - max((each for each in self._heard_s if each < stamp), default=-math.inf)
+            return offset > self._most_taken_back and not KEPT_S < since_s <= usual_s
         return stamp <= self._settled_s or stamp == self._latest_s
 
     def _is_agreed(self, stamp: float) -> bool:
