@@ -44,7 +44,7 @@ TANKS = {
     "upper_outflow": 0.03,
     "transfer": 0.035,
     "lower_outflow": 0.04,
-    "leak": 0.002,
+    "outflow_correction": 0.002,
     "spill": 0.7,
     "initial_upper_level": 0.5,
     "brim": 10.0,
@@ -236,30 +236,32 @@ CASCADE = structure_named("cascaded-tanks")
 BRIM = TANKS["brim"]
 
 
-def standing(pumped, leak):
+def standing(pumped, rate):
     """Return the levels ξ₁ and ξ₂ at which as much leaves each tank as comes in."""
     upper = (TANKS["inflow"] * pumped / TANKS["upper_outflow"]) ** 2
     entering = TANKS["transfer"] * np.sqrt(upper)
-    if leak == 0:
+    if rate == 0:
         return upper, (entering / TANKS["lower_outflow"]) ** 2
-    root = np.sqrt(TANKS["lower_outflow"] ** 2 + 4 * leak * entering) - TANKS["lower_outflow"]
-    return upper, (root / (2 * leak)) ** 2
+    root = np.sqrt(TANKS["lower_outflow"] ** 2 + 4 * rate * entering) - TANKS["lower_outflow"]
+    return upper, (root / (2 * rate)) ** 2
 
 
-@pytest.mark.parametrize("leak", [0.0, 0.004, -0.004])
+@pytest.mark.parametrize("rate", [0.0, 0.004, -0.004])
 @pytest.mark.parametrize("pumped", [1.2, 2.1])
-def test_levels_stay_and_end_where_inflow_and_outflow_balance(pumped, leak):
-    upper, lower = standing(pumped, leak)
+def test_levels_stay_and_end_where_inflow_and_outflow_balance(pumped, rate):
+    upper, lower = standing(pumped, rate)
     assert max(upper, lower) < 0.9
     command = np.full(700, pumped)
     stays = displacement(
-        CASCADE, command, initial=BRIM * lower, step_s=4.0, leak=leak, initial_upper_level=upper
+        CASCADE, command, initial=BRIM * lower, step_s=4.0, outflow_correction=rate, initial_upper_level=upper
     )
     np.testing.assert_allclose(stays, BRIM * lower, rtol=700 * EPS)
-    comes = displacement(CASCADE, command, initial=3.0, step_s=4.0, leak=leak, initial_upper_level=0.9)
+    comes = displacement(
+        CASCADE, command, initial=3.0, step_s=4.0, outflow_correction=rate, initial_upper_level=0.9
+    )
     # Linearised, a tank forgets at a₂/(2√ξ₂) + l per second: 2800 s are more than thirty time constants.
     rate = min(
-        TANKS["lower_outflow"] / (2 * np.sqrt(lower)) + leak, TANKS["upper_outflow"] / (2 * np.sqrt(upper))
+        TANKS["lower_outflow"] / (2 * np.sqrt(lower)) + rate, TANKS["upper_outflow"] / (2 * np.sqrt(upper))
     )
     assert np.exp(-rate * 2400) < 1e-9
     assert comes[-1] == pytest.approx(BRIM * lower, rel=1e-8)
@@ -269,7 +271,7 @@ def test_levels_stay_and_end_where_inflow_and_outflow_balance(pumped, leak):
 def test_the_root_of_the_level_of_an_emptying_tank_falls_linearly():
     """Torricelli: with nothing coming in, √ξ₂ = √ξ₂(0) − a₂ t/2."""
     outflow, step_s, start = TANKS["lower_outflow"], 1.0, 0.8
-    lonely = {"transfer": 1e-12, "leak": 0.0, "initial_upper_level": 0.5}
+    lonely = {"transfer": 1e-12, "outflow_correction": 0.0, "initial_upper_level": 0.5}
     t = step_s * np.arange(40)
     root = np.sqrt(start) - outflow * t / 2
     assert root[-1] > 0.1
@@ -283,7 +285,13 @@ def test_the_root_of_the_level_of_an_emptying_tank_falls_linearly():
 
 def test_an_empty_tank_stays_empty():
     found = displacement(
-        CASCADE, np.zeros(2000), initial=0.0, step_s=4.0, leak=0.0, initial_upper_level=0.0, transfer=1e-12
+        CASCADE,
+        np.zeros(2000),
+        initial=0.0,
+        step_s=4.0,
+        outflow_correction=0.0,
+        initial_upper_level=0.0,
+        transfer=1e-12,
     )
     # Below the level that counts as empty the outflow is that of this level.
     assert np.all(np.abs(found) <= BRIM * TANKS["lower_outflow"] * np.sqrt(EMPTY) * 4.0 * np.arange(2000))
@@ -293,7 +301,7 @@ def test_an_empty_tank_stays_empty():
 def test_the_lower_tank_never_rises_above_its_brim_by_more_than_its_smooth_edge_lets_through():
     step_s, pumped = 0.2, 5.0
     command = np.full(3000, pumped)
-    found = displacement(CASCADE, command, initial=5.0, step_s=step_s, leak=0.0) / BRIM
+    found = displacement(CASCADE, command, initial=5.0, step_s=step_s, outflow_correction=0.0) / BRIM
     # Above the brim what comes in, N at most, enters by e^(−(ξ − 1)/δ) at most: e^((ξ − 1)/δ) ≤ 1 + N t/δ. A
     # step of integration may begin just below and end N h above.
     surplus = TANKS["transfer"] * 1.05 + TANKS["spill"] * TANKS["inflow"] * pumped
@@ -307,7 +315,7 @@ def test_a_full_upper_tank_spills_what_it_cannot_hold_into_the_lower_one():
     pumped = 3.1
     over = TANKS["inflow"] * pumped - TANKS["upper_outflow"]
     assert 0 < over < 0.1 * TANKS["upper_outflow"]
-    values = {"leak": 0.0, "lower_outflow": 0.05, "initial_upper_level": 1.0}
+    values = {"outflow_correction": 0.0, "lower_outflow": 0.05, "initial_upper_level": 1.0}
     found = displacement(CASCADE, np.full(1000, pumped), initial=4.0, step_s=4.0, **values)[-1] / BRIM
     # The upper level lies within its smooth edge: above where half of it spills, by ln of 1 + t/δ at most.
     upper = np.array([1.0, 1 + 0.005 * np.log1p(over * 4000 / 0.005)])

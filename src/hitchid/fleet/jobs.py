@@ -109,6 +109,7 @@ class ValidationJob(Job[ValidationRow]):
         from hitchid.logs import read
         from hitchid.logs.audit import Severity
         from hitchid.logs.audit.audit import audit
+        from hitchid.logs.from_rest import from_rest
         from hitchid.model import load
 
         identified = self.identified.get(row.machine)
@@ -122,6 +123,7 @@ class ValidationJob(Job[ValidationRow]):
             for finding in audit(campaign)
             if finding.severity is Severity.FAULT
         )
+        campaign, _ = from_rest(campaign)
         if not campaign.directions:
             campaign = campaign.segmented(model.dead_zones)
         new = [record for record in campaign.records if record.fingerprint not in model.provenance.seen]

@@ -21,6 +21,7 @@ from hitchid.identification.rivals import trained_rivals
 from hitchid.identification.selection import AutoStructure
 from hitchid.logs.audit import feedback_of
 from hitchid.logs.campaign import Campaign
+from hitchid.logs.from_rest import from_rest
 from hitchid.logs.kinds import direction_signs
 from hitchid.logs.record import COMMAND, CYCLE, DISPLACEMENT, Record
 from hitchid.model import Channel, Hitch, Provenance, Rivals, TravelLimits
@@ -113,6 +114,7 @@ class CampaignJob:
             raise InputError(
                 f"split.test: the pattern '{pattern}' matches none of the {len(campaign.records)} tests"
             )
+        recorded, (campaign, in_motion) = campaign, from_rest(campaign)
         specs = config.specs
         for direction, value in config.dead_zones.items():
             _check_dead_zone(campaign, direction, value)
@@ -128,16 +130,16 @@ class CampaignJob:
         }
         segmentation_dead_zones: dict[str, float] = {}
         cycles: tuple[Record, ...] = ()
-        fingerprints = _fingerprints(campaign, campaign.directions)
+        fingerprints = _fingerprints(campaign, campaign.directions, recorded)
         if not campaign.directions:
             segmentation_dead_zones = {
                 direction: dead_zone.value
                 for direction, dead_zone in {**mixed_dead_zones(campaign), **dead_zones}.items()
             }
             cycles = campaign.identification(CYCLE)
-            fingerprints |= _fingerprints(campaign, (CYCLE,))
+            fingerprints |= _fingerprints(campaign, (CYCLE,), recorded)
             campaign = campaign.segmented(segmentation_dead_zones)
-            fingerprints |= _fingerprints(campaign, campaign.directions)
+            fingerprints |= _fingerprints(campaign, campaign.directions, recorded)
         if not campaign.directions:
             raise InputError(
                 "no log contains lifting or lowering motion that can be identified; measure "
@@ -147,6 +149,9 @@ class CampaignJob:
         channel_data = {
             m: prepare(campaign, m, dead_zones.get(m), covariates=specs[m].covariate_names, cycles=cycles)
             for m in campaign.directions
+        }
+        channel_data = {
+            m: replace(data, notices=(*in_motion, *data.notices)) for m, data in channel_data.items()
         }
         _check_window(config.training, channel_data)
         channel_configs = {
@@ -346,8 +351,11 @@ def _channel_config(
     )
 
 
-def _fingerprints(campaign: Campaign, kinds: tuple[str, ...]) -> set[str]:
-    return {record.fingerprint for kind in kinds for record in campaign.identification(kind)}
+def _fingerprints(campaign: Campaign, kinds: tuple[str, ...], recorded: Campaign) -> set[str]:
+    """Return those of the tests that are used, as they are used and as they were recorded."""
+    names = {record.name for kind in kinds for record in campaign.identification(kind)}
+    records = (*campaign.records, *recorded.records)
+    return {record.fingerprint for record in records if record.name in names}
 
 
 def _uses_raw_command(spec: ModelSpec | AutoStructure) -> bool:

@@ -11,6 +11,7 @@ from hitchid.errors import LogError
 
 LineOf = Callable[[int], int | None]
 GRID_TOLERANCE = 0.02  # of the sampling time; largest distance of a stamp on the grid (chosen)
+AFTER_GAP = "gap-split"  # code of the notice of a section that begins after a gap
 GAP_FACTOR = 1.5  # of the sampling time; a longer interval is a gap (chosen)
 SHORTEST_STEP_S = 1e-9  # s; the resolution of time stamps in ns
 # s and sampling times, the larger counts: a hydraulic axis changes its speed in 0.2 s; two lost samples.
@@ -199,7 +200,7 @@ def _gap_notices(time_s: np.ndarray, start: int, median: float) -> tuple[Notice,
         return ()
     gap = time_s[start] - time_s[start - 1]
     sentence = f"split at {time_s[start]:g} s: a gap of {gap:.3g} s, {gap / median:.1f} sampling times"
-    return (Notice("gap-split", sentence),)
+    return (Notice(AFTER_GAP, sentence),)
 
 
 class _GapBridging:

@@ -158,8 +158,9 @@ class CascadedTanks(NonlinearStructure):
         ξ̇₂ = b√ξ₁ + s·over − a₂√ξ₂ − l ξ₂, not rising where the lower tank is full
         x = h₂ ξ₂
 
-    The leak l corrects the square-root law of the lower outlet. Free outflow: Torricelli's law; overflow as
-    in Schoukens et al., Workshop on Nonlinear System Identification Benchmarks, 2016.
+    The correction l is negative where the lower outflow grows more slowly than the square root of the level.
+    Free outflow: Torricelli's law; overflow as in Schoukens et al., Workshop on Nonlinear System
+    Identification Benchmarks, 2016.
     """
 
     name: ClassVar[str] = "cascaded-tanks"
@@ -169,7 +170,7 @@ class CascadedTanks(NonlinearStructure):
         Parameter("upper_outflow", "1/s", 3e-4, 0.1),
         Parameter("transfer", "1/s", 3e-3, 0.1),
         Parameter("lower_outflow", "1/s", 3e-3, 0.1),
-        Parameter("leak", "1/s", -0.02, 0.02, linear=True),
+        Parameter("outflow_correction", "1/s", -0.02, 0.02, linear=True),
         Parameter("spill", "1", 0.1, 3.0),
         Parameter("initial_upper_level", "1", 0.1, 1.0, linear=True),
         Parameter("brim", "{x}", 0.95, 1.05, scale=Scale.HIGHEST, linear=True),
@@ -185,11 +186,11 @@ class CascadedTanks(NonlinearStructure):
         self, values: Float[Array, " p"], state: Float[Array, "n t"], command: Float[Array, " t"]
     ) -> Float[Array, "n t"]:
         """Return the rate of the lower level, in the displacement's unit, and of the upper one."""
-        inflow, upper_outflow, transfer, lower_outflow, leak, spill, _, brim = values
+        inflow, upper_outflow, transfer, lower_outflow, rate, spill, _, brim = values
         upper, lower = limited(state[1], EMPTY), limited(state[0] / brim, EMPTY)
         outflow = upper_outflow * jnp.sqrt(upper)
         full = jax.nn.sigmoid((upper - 1) / UPPER_BRIM)
         overflow = full * limited(inflow * command - outflow, 0.0)
-        net = transfer * jnp.sqrt(upper) + spill * overflow - lower_outflow * jnp.sqrt(lower) - leak * lower
+        net = transfer * jnp.sqrt(upper) + spill * overflow - lower_outflow * jnp.sqrt(lower) - rate * lower
         blocked_rise = jax.nn.sigmoid((lower - 1) / LOWER_BRIM) * limited(net, 0.0)
         return jnp.stack([brim * (net - blocked_rise), inflow * command - outflow - overflow])

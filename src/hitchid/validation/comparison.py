@@ -19,7 +19,7 @@ from hitchid.logs.campaign import Campaign
 from hitchid.model import Hitch
 from hitchid.validation.leaderboard import Leaderboard, LeaderboardRow, Standing, section_rows
 from hitchid.validation.results import FREE_RUN, Accuracy, Predictions
-from hitchid.validation.validate import validate, with_covariates
+from hitchid.validation.validate import usable_tests, validate
 from hitchid.validation.validation import TABLES_FILE, Validation
 
 if TYPE_CHECKING:
@@ -256,7 +256,7 @@ def compare(
             "every test was used to identify at least one of the models; expected at least "
             "one test that none of them used"
         )
-    usable, lacking = with_covariates(unseen, *models)
+    usable, lacking = usable_tests(unseen, *models)
     report, width = progress or silent, 1.0 / len(models)
     segmentation_dead_zones = models[0].segmentation_dead_zones(campaign.units)
     validations = tuple(

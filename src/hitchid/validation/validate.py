@@ -11,6 +11,7 @@ from hitchid._support.jax_setup import double_precision
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent
 from hitchid.errors import InputError
 from hitchid.logs.campaign import Campaign
+from hitchid.logs.from_rest import from_rest
 from hitchid.logs.record import CYCLE, DISPLACEMENT, Record
 from hitchid.logs.unification import left_out_notices, refuse, split_usable
 from hitchid.logs.units import conversion_factor
@@ -28,11 +29,13 @@ from hitchid.validation.results import (
 )
 from hitchid.validation.validation import Validation
 
-# Tests that a model can be validated on: those with every covariate it requires.
+# Tests that a model can be validated on: they begin at rest and have every covariate it requires.
 
 
-def with_covariates(campaign: Campaign, *models: Hitch) -> tuple[Campaign, tuple[str, ...]]:
+def usable_tests(campaign: Campaign, *models: Hitch) -> tuple[Campaign, tuple[str, ...]]:
     """Return a campaign without the tests that lack a covariate one of the models requires, and notices.
+
+    Parts of logs after gaps begin at rest.
 
     Raises:
         InputError: no test is left, or the campaign is strict and a test lacks a covariate.
@@ -45,12 +48,13 @@ def with_covariates(campaign: Campaign, *models: Hitch) -> tuple[Campaign, tuple
                     record.require(channel.benchmark.covariates)
         return record
 
+    campaign, in_motion = from_rest(campaign)
     records = [(record.name, record) for record in campaign.records]
     usable, lacking = split_usable(records, complete, strict=campaign.strict)
     if lacking and not usable:
         refuse(lacking, "tests")
     notices = left_out_notices(lacking, len(records), "tests")
-    return replace(campaign, records=tuple(usable)), tuple(map(str, notices))
+    return replace(campaign, records=tuple(usable)), (*in_motion, *map(str, notices))
 
 
 # Notices of a validation: warnings on the figures.
@@ -198,7 +202,7 @@ def validate(
     checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
     checks.instance(campaign, Campaign, "campaign", 'a campaign as hitchid.read("logs") returns it')
     report = progress or silent
-    usable, lacking = with_covariates(campaign, model)
+    usable, lacking = usable_tests(campaign, model)
     single_direction = usable
     if not usable.directions:
         dead_zones = segmentation_dead_zones or model.segmentation_dead_zones(usable.units)

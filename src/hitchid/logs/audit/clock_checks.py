@@ -156,7 +156,7 @@ def _gaps_of(base: str, tests: list[RecordContext]) -> list[AuditFinding]:
         f"the log '{base}' has {len(lost)} gap{'s' * (len(lost) > 1)}: "
         f"{missing:.3g} s of {total:.4g} s are lost ({missing / total:.1%})"
     )
-    advice = "check why the logger lost samples; each part after a gap starts in motion"
+    advice = "check why the logger lost samples; a part after a gap is used from its first stroke out of rest"
     return [AuditFinding("gaps", severity, tests[0].record.name, "", tuple(lost), what, advice)]
 
 

@@ -1,0 +1,48 @@
+"""Parts of a log after a gap begin in motion: they are used from where the piston starts out of rest."""
+
+from dataclasses import replace
+
+from hitchid._support.records import Notice
+from hitchid.errors import LogError
+from hitchid.logs.campaign import Campaign
+from hitchid.logs.kinds import LEAD_IN_S, REST_S, strokes
+from hitchid.logs.record import Record
+from hitchid.logs.resampling import AFTER_GAP
+from hitchid.logs.unification import left_out_notices, refuse, split_usable
+
+FROM_REST = "from-rest"  # code of the notice of a part that was cut to begin at rest
+
+
+def from_rest(campaign: Campaign) -> tuple[Campaign, tuple[str, ...]]:
+    """Return a campaign whose parts after gaps begin at rest, and notices of those left out.
+
+    Models start at rest. After a gap the piston has a speed, from commands that are lost: taken for a start
+    at rest, it makes gain and lag wrong, and their intervals narrow.
+
+    Raises:
+        InputError: no test is left, or the campaign is strict and a part is never at rest.
+    """
+    parts = [(record.name, record) for record in campaign.records]
+    usable, in_motion = split_usable(parts, _from_rest, strict=campaign.strict)
+    if not usable:
+        refuse(in_motion, "tests")
+    notices = left_out_notices(in_motion, len(parts), "tests")
+    return replace(campaign, records=tuple(usable)), tuple(map(str, notices))
+
+
+def _from_rest(record: Record) -> Record:
+    """Return a part after a gap from its first stroke after a rest or a turn on; others as they are."""
+    codes = {notice.code for notice in record.notices}
+    starts = [stroke.start for stroke in strokes(record, {})]
+    if AFTER_GAP not in codes or FROM_REST in codes or not starts:
+        return record
+    if starts[0] < round((REST_S - LEAD_IN_S) / record.step_s):
+        starts = starts[1:]
+    if not starts:
+        raise LogError(
+            record.source or record.name,
+            f"begins in motion after a gap; expected {REST_S:g} s without a command before a stroke",
+        )
+    sentence = f"the first {starts[0] * record.step_s:.3g} s after the gap are left out: the piston may move"
+    notices = (*record.notices, Notice(FROM_REST, sentence))
+    return replace(record.slice(starts[0], len(record)), notices=notices)
