@@ -51,7 +51,7 @@ def main() -> None:
     options.add_argument("--inputs", type=int, default=20000)
     options.add_argument("--seed", type=int, default=0)
     options.add_argument("--first", type=int, default=0, help="number of the first input")
-    options.add_argument("--only", default="", help="seeds whose names begin so")
+    options.add_argument("--only", nargs="+", default=[""], help="seeds whose names begin so")
     options.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "hitchid-fuzz")
     arguments = options.parse_args()
     warnings.simplefilter("ignore")  # libraries warn of what is damaged on every input
@@ -64,7 +64,7 @@ def main() -> None:
 
 def _run(arguments: argparse.Namespace, scratch: Path, process: ReaderProcess) -> FuzzStatistics:
     all_seeds = fuzzing.seeds(scratch / "seeds")
-    seeds = [seed for seed in all_seeds if seed.name.startswith(arguments.only)]
+    seeds = [seed for seed in all_seeds if seed.name.startswith(tuple(arguments.only))]
     undamaged = {}
     for seed in seeds:
         fuzzing.put(scratch / "input", seed.files)

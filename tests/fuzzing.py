@@ -16,7 +16,7 @@ import struct
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from importlib import resources
 from pathlib import Path
@@ -35,16 +35,22 @@ from scipy.io import netcdf_file, savemat
 import fleet_rows
 from controllers import made_up_controller, made_up_model
 from handmade import channel, hitch, hitch_of, with_bands
-from hitchid._support.checkpoints import Checkpoints
+from hitchid._support.checkpoints import DIGEST_LENGTH, Checkpoints, Cube
 from hitchid._support.files import canonical_json, digest
+from hitchid._support.tables import DataTable
 from hitchid.bench.parameter_files import load_rig
 from hitchid.control.files import load_controller, save_controller
 from hitchid.control.loops import Margins
 from hitchid.control.tuning import DirectionMargins, Tuning
-from hitchid.errors import HitchError
+from hitchid.errors import HitchError, InputError
+from hitchid.fleet import Store, compare_fleet
+from hitchid.fleet.comparison import comparison_metrics
+from hitchid.fleet.ledger import load_model, parquet, table_rows
 from hitchid.fleet.row import Row
 from hitchid.handover import step_responses
 from hitchid.identification.settings_file import read_settings, settings_of_model
+from hitchid.live import AdaptationSettings, Adapter, Event, read_events
+from hitchid.live.parameters import Changes, changed_model
 from hitchid.logs import ReaderProcess, assemble, find_logs, read_log, settings_of, write_table
 from hitchid.logs.inspect import inspect_campaign
 from hitchid.logs.record import LIFTING, Record
@@ -60,6 +66,7 @@ from hitchid.model import (
     MeasuredSpeed,
     Provenance,
     Quantity,
+    SearchSummary,
     SpeedPoint,
     TravelLimits,
     TwoModes,
@@ -69,8 +76,12 @@ from hitchid.model import (
     save,
 )
 from hitchid.model.provenance import DifferenceTest
+from hitchid.model.rivals import Rivals
+from hitchid.report import figure_data, figures, read_trace
+from hitchid.report.tables import search_table
 from hitchid.structures import PhysicalModel, structure_named
 from hitchid.validation import read_limits
+from hitchid.validation.channels import channel_result
 
 SAMPLES, STEP_S = 60, 0.01
 REFUSED, ACCEPTED = "refused", "accepted"
@@ -325,10 +336,12 @@ def _nominal() -> bytes:
 def _kept(place: Path) -> Iterator[Seed]:
     for name, model in _models():
         shutil.rmtree(place / "model", ignore_errors=True)
-        save(model, place / "model", trace={"lifting": {"fitness": [3.0, 1.5]}})
+        save(model, place / "model", trace={LIFTING: TRACE})
         files = {path.name: path.read_bytes() for path in (place / "model").iterdir() if path.name[0] != "."}
         if model.rivals:
             yield Seed("model", files, tuple(files), read_model, sealed=True)
+            yield Seed("trace resealed", files, (), read_model_trace, changes=(_trace_resealed,))
+            yield Seed("rivals resealed", files, (), use_rivals, changes=(_rivals_resealed,), costly=True)
         yield Seed(f"model {name} resealed", files, (), look_at_model, changes=(_resealed,))
         yield Seed(f"model {name} in use", files, (), use_model, changes=(_resealed,), costly=True)
     controller = _controller(place)
@@ -341,19 +354,30 @@ def _kept(place: Path) -> Iterator[Seed]:
         changes=(_toml_changed(CONTROLLER),),
     )
     row = {ROW: fleet_rows.row("tractor-7", {LIFTING: fleet_rows.figures(LIFTING)}).as_json()}
-    yield Seed("fleet row", row, tuple(row), read_row, text=True, changes=(_json_changed(ROW),))
+    yield Seed("fleet row", row, tuple(row), compare_row, text=True, changes=(_json_changed(ROW),))
+    log = {CHANGE_LOG: "".join(f"{event.to_json()}\n" for event in EVENTS).encode()}
+    yield Seed("change log", log, tuple(log), resume_adaptation, text=True, changes=(_line_changed,))
     settings = {"settings.json": canonical_json(KEPT_SETTINGS)}
     yield Seed("kept settings", settings, (), read_kept_settings, changes=(_json_changed("settings.json"),))
     kept = {"values": np.arange(20.0), "number": np.array(3), "name": np.array("x")}
     Checkpoints(place / "pieces").cached_arrays("piece", lambda: kept)
     (piece,) = (place / "pieces").iterdir()
     yield Seed("checkpoint", {piece.name: piece.read_bytes()}, (piece.name,), read_checkpoint, sealed=True)
+    piece.unlink()
+    Checkpoints(place / "pieces").cached("piece", Piece, lambda: PIECE, SHAPES)
+    files = {piece.name: piece.read_bytes()}
+    yield Seed("checkpoint resealed", files, (), use_checkpoint, changes=(_piece_resealed,))
 
 
 def _models() -> Iterator[tuple[str, Hitch]]:
     """Yield models of several structures, with every part that a model may have."""
     whole = hitch(compensated=True, baselines=True, free_run=True, dead_time_s=0.03)
-    yield "whole", with_bands(whole, *whole.channels)
+    search = SearchSummary("whale", (1.0, None), (600, 590), (0, 600), (None, 1.0), ((1.0,), (2.0,)))
+    known = {
+        direction: replace(each, searches=(search,), paper_estimates=GAIN_ESTIMATES)
+        for direction, each in whole.rivals.items()
+    }
+    yield "whole", replace(with_bands(whole, *whole.channels), rivals=known)
     yield "curves", _assessed(hitch("integrator-second-order", shape=True, filtered=True))
     yield "one channel", hitch("first-order-lag", modes=(LIFTING,), end_stop=120.5)
     friction = jnp.array([100.0, 2.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -407,7 +431,42 @@ def _assessed(model: Hitch) -> Hitch:
     )
 
 
-CONTROLLER, ROW = "controller.toml", "row.json"
+CONTROLLER, ROW, CHANGE_LOG = "controller.toml", "row.json", "changes.jsonl"
+GAIN_ESTIMATES = Estimates(
+    (
+        Estimate(
+            *("gain", "K", "mm/(s·A)", 30.0, 0.1, (29.0, 31.0), "profile", None, 0.01, 90.0),
+            *(False, True, "determined", 0.2, ((29.0, 0.5), (31.0, 0.4))),
+        ),
+    ),
+    (),
+    ((1.0,),),
+    8,
+    8,
+)
+TRACE = {
+    "dead_zone": {"value": 0.35, "spread": 0.01, "count": 2, "origin": "ramps"},
+    "phase1": {
+        "uncertainty": asdict(GAIN_ESTIMATES),
+        "rmse": 1.0,
+        "fitness": [None, 3.0, 1.5],
+        "searched": ["gain"],
+        "values": [[20.0], [28.0], [30.0]],
+    },
+    "phase2": {"training_loss": [1.0, 0.5], "validation_loss": [None, 0.6], "best_epoch": 1},
+    "candidates": [
+        {"name": "plain", "rmse": 1.5, "held_out_rmse": None, "chosen": False},
+        {"name": "curves", "rmse": 1.0, "held_out_rmse": 1.2, "chosen": True},
+    ],
+    "choice_held_out_rmse": 1.3,
+    "notices": ["the search ended early"],
+}
+EVENTS = (
+    Event("learned", 3.0, 1, LIFTING, "", Changes(0.01, 0.0, 0.0), (1,), {"band": 0.1}),
+    Event("promoted", 6.0, 2, LIFTING, "smaller errors", Changes(0.02, 0.001, 0.0), (1, 2)),
+    Event("refused", 9.0, 3, "", "both commands are active", Changes()),
+    Event("rolled back", 12.0, 4, LIFTING, "larger errors", Changes()),
+)
 KEPT_SETTINGS = {
     "structure": {
         "lifting": {"automatic": True, "load": ["pressure"]},
@@ -540,15 +599,94 @@ def use_controller(folder: Path, _: ReaderProcess) -> object:
     return currents
 
 
-def read_row(folder: Path, _: ReaderProcess) -> object:
-    """Read the row of a machine."""
-    return Row.from_json((folder / ROW).read_bytes(), ROW)
+def read_model_trace(folder: Path, _: ReaderProcess) -> object:
+    """Read the trace of a model, draw it, and save it again."""
+    content = load_trace(folder)
+    for trace in read_trace(content).values():
+        search, training = trace.phase1, trace.phase2
+        drawn = [figures.convergence(search, "mm"), figures.structures(trace.candidates, "mm")]
+        data = [figure_data.convergence(search, "mm"), figure_data.structures(trace.candidates, "mm")]
+        if training is not None:
+            drawn.append(figures.losses(training))
+            data.append(figure_data.losses(training))
+        for figure in drawn:
+            figure.draw_without_rendering()
+        for columns in data:
+            DataTable.of_columns("figure", columns).csv()
+        next((each for each in trace.candidates if each.chosen), None)
+    save(load(folder), folder.with_name("again"), trace=content, force=True)
+    return content
+
+
+def use_rivals(folder: Path, _: ReaderProcess) -> object:
+    """Compare a model with its rivals."""
+    model = load(folder)
+    signals = {"displacement": np.linspace(100.0, 120.0, SAMPLES), "lifting_command": np.full(SAMPLES, 0.8)}
+    record = Record("a", model.step_s, signals, {role: model.units[role] for role in signals})
+    rivals = model.rivals.get(LIFTING, Rivals())
+    result = channel_result(model.channels[LIFTING], [record], 1.0, None, rivals)
+    if rivals.searches:
+        drawn = figures.searches(rivals.searches, "mm")
+        drawn.draw_without_rendering()
+        told = search_table(LIFTING, rivals.searches, "mm"), figure_data.searches(rivals.searches, "mm")
+        repr(told)
+    return repr(result)
+
+
+def compare_row(folder: Path, _: ReaderProcess) -> object:
+    """Read the row of a machine, compare it with others, and put all into a table."""
+    rows = [Row.from_json((folder / ROW).read_bytes(), ROW), *FLEET]
+    comparison = compare_fleet(rows)
+    canonical_json(comparison_metrics(comparison))
+    parquet(DataTable.of_rows("fleet", table_rows(rows)))
+    with suppress(InputError):
+        load_model(Store(str(folder)), rows[0], folder)
+    return rows[0]
+
+
+FLEET = fleet_rows.fleet(6)
+
+
+def resume_adaptation(folder: Path, _: ReaderProcess) -> object:
+    """Go on from a change log."""
+    model = made_up_model(shape=True)
+    events = read_events(folder / CHANGE_LOG, model)
+    state = Adapter(model, AdaptationSettings()).resumed(events)
+    adapted = changed_model(model, state.changes, state.band_factors)
+    repr(adapted)
+    if not all(np.isfinite(each.benchmark.parameter_vector).all() for each in adapted.channels.values()):
+        raise ValueError("a parameter that is no number")
+    return [event.sentence for event in events]
 
 
 def read_kept_settings(folder: Path, _: ReaderProcess) -> object:
     """Read what a model folder says of the settings of its identification."""
     content = json.loads((folder / "settings.json").read_bytes())
     return settings_of_model(content if isinstance(content, dict) else {"search": content})
+
+
+@dataclass(frozen=True)
+class Piece:
+    """What some work found."""
+
+    best: np.ndarray
+    trace: np.ndarray
+    loss: float
+    count: int
+    reason: str
+
+
+PIECE = Piece(np.array([0.1, 0.9]), np.full((3, 2), 0.5), 0.3, 3, "enough")
+SHAPES = {"best": Cube((2,)), "trace": Cube(("g", 2))}
+
+
+def use_checkpoint(folder: Path, _: ReaderProcess) -> object:
+    """Read a piece of a run as the work takes it that was stopped."""
+    piece = Checkpoints(folder).cached("piece", Piece, lambda: PIECE, SHAPES)
+    types = [type(piece.loss) in (int, float), type(piece.count) is int, type(piece.reason) is str]
+    if not all(types) or piece.best.shape != (2,) or not np.isfinite([*piece.best, *piece.trace.flat]).all():
+        raise ValueError("a piece that no work finds")
+    return piece.count
 
 
 class Redone(HitchError):
@@ -859,11 +997,20 @@ def resealed(files: Mapping[str, bytes], content: Mapping[str, Any], name: str =
 
 def _resealed(rng: np.random.Generator, files: Files) -> Files:
     """Return a model folder with something in it changed, and all its digests put right."""
-    data = dict(files)
     described = [name for name in DESCRIBED if name in files]
-    name = described[int(rng.random() < 0.25) % len(described)]
+    return _described_changed(rng, files, described[int(rng.random() < 0.25) % len(described)])
+
+
+def _rivals_resealed(rng: np.random.Generator, files: Files) -> Files:
+    """Return a model folder with something in its rivals changed, and their digests put right."""
+    return _described_changed(rng, files, "rivals.json", share=0.6)
+
+
+def _described_changed(rng: np.random.Generator, files: Files, name: str, share: float = 0.25) -> Files:
+    """Return a model folder with a description changed, or a share of times a file beside it."""
+    data = dict(files)
     content = json.loads(files[name])
-    if rng.random() < 0.25:
+    if rng.random() < share:
         beside = DESCRIBED[name][int(rng.integers(0, len(DESCRIBED[name])))]
         ways = (*BYTE_CHANGES, *(_array_changed,) * 20) if beside.endswith("tensors") else BYTE_CHANGES
         data[beside] = ways[int(rng.integers(0, len(ways)))](rng, data[beside])
@@ -873,6 +1020,52 @@ def _resealed(rng: np.random.Generator, files: Files) -> Files:
         return resealed(data, content if isinstance(content, dict) else {}, name)
     except (ValueError, RecursionError):  # what JSON does not hold
         return files
+
+
+def _trace_resealed(rng: np.random.Generator, files: Files) -> Files:
+    """Return a model folder with its trace changed, and all its digests put right."""
+    content = json.loads(files["trace.json"])
+    for _ in range(int(rng.geometric(0.6))):
+        content = _node_changed(rng, content)
+    try:
+        data = json.dumps(content).encode() if rng.random() < 0.1 else canonical_json(content)
+    except (ValueError, RecursionError):  # what JSON does not hold
+        return files
+    return resealed({**files, "trace.json": data}, json.loads(files["model.json"]))
+
+
+def _piece_resealed(rng: np.random.Generator, files: Files) -> Files:
+    """Return a piece of a run with an array changed, and its digest put right."""
+    (name,) = files
+    with np.load(io.BytesIO(files[name][DIGEST_LENGTH:])) as archive:
+        arrays = dict(archive)
+    changed = sorted(arrays)[int(rng.integers(0, len(arrays)))]
+    kinds = (np.float64, np.int64, np.complex128, np.dtype("U3"), np.dtype("M8[s]"), np.dtype("O"), np.bool_)
+    way = int(rng.integers(0, 4))
+    if way == 0:
+        arrays[f"{changed}x"] = arrays.pop(changed)
+    elif way == 1:
+        arrays[changed] = np.zeros(rng.integers(0, 4, int(rng.integers(0, 4))))
+    elif way == 2:
+        arrays[changed] = np.full(arrays[changed].shape, rng.choice(NUMBERS))
+    else:
+        arrays[changed] = np.zeros(arrays[changed].shape, kinds[int(rng.integers(0, len(kinds)))])
+    made = io.BytesIO()
+    (np.savez_compressed if rng.random() < 0.1 else np.savez)(made, **arrays)
+    data = made.getvalue()
+    if rng.random() < 0.2:
+        data = BYTE_CHANGES[int(rng.integers(0, len(BYTE_CHANGES)))](rng, data)
+    return {name: digest(data).encode() + data}
+
+
+def _line_changed(rng: np.random.Generator, files: Files) -> Files:
+    """Return a change log with one of its lines changed."""
+    lines = files[CHANGE_LOG].decode().splitlines()
+    at = int(rng.integers(0, len(lines)))
+    content = _node_changed(rng, json.loads(lines[at]))
+    with suppress(ValueError, RecursionError):  # what JSON does not hold
+        lines[at] = json.dumps(content)
+    return {CHANGE_LOG: "\n".join([*lines, ""]).encode()}
 
 
 NUMBERS = (math.nan, math.inf, -math.inf, 0.0, -1.0, 1.0, 1e-300, 1e6, 1e30, 1e308, 2.0**31)

@@ -23,8 +23,12 @@ sys.path.insert(1, str(Path(__file__).parent / "logs"))
 from can_logs import message, write_dbc
 
 import fuzzing
+from hitchid._support.files import canonical_json
 from hitchid.errors import HitchError, InputError, LogError, ModelFolderError, SettingsError
+from hitchid.fleet import Store, read_rows
+from hitchid.fleet.ledger import load_model
 from hitchid.identification.settings_file import read_settings
+from hitchid.live import read_events
 from hitchid.logs import ReaderProcess, find_logs, read, write_table
 from hitchid.logs.signal_map import read_campaign_file
 from hitchid.model import load
@@ -378,6 +382,20 @@ FORGED = [
     ("rivals/lifting/paper/compensator/hidden", 2**62),
     ("rivals/lifting/paper/values", [0.0, 5.0]),
     ("rivals/lifting/another", 1),
+    ("rivals/lifting/paper/dead_time_s", 2000.0),
+    ("rivals/lifting/paper_parameters/parameters/0/error", -1.0),
+    ("rivals/lifting/covariates", ["pressure", "oil"]),
+    ("rivals/lifting/searches/0/evaluations", [600]),
+    ("rivals/lifting/searches/0/median_values", [[1.0], [2.0, 3.0]]),
+    ("trace/lifting/dead_zone/count", -1),
+    ("trace/lifting/phase1/values", [[1.0]]),
+    ("trace/lifting/phase1/fitness", ["x"] * 10**5),
+    ("trace/lifting/phase1/searched", ["frequency"]),
+    ("trace/lifting/phase1/uncertainty/parameters/0/value", "x"),
+    ("trace/lifting/phase2/best_epoch", 10**400),
+    ("trace/lifting/candidates", [{"name": "a", "rmse": 1.0, "held_out_rmse": None, "chosen": False}]),
+    ("trace/sideways", {}),
+    ("trace/lifting", []),
 ]
 
 
@@ -386,12 +404,17 @@ FORGED = [
 )
 def test_a_forged_description_is_refused_by_key(model, path, value):
     files = {each.name: each.read_bytes() for each in model.iterdir()}
-    name = "rivals.json" if path.startswith("rivals") else "model.json"
+    part = path.partition("/")[0]
+    name = f"{part}.json" if part in ("rivals", "trace") else "model.json"
     content = json.loads(files[name])
-    put_in(content, path, value)
+    put_in({"trace": content} if part == "trace" else content, path, value)
+    if part == "trace":
+        files[name], name = canonical_json(content), "model.json"
+        content = json.loads(files[name])
     fuzzing.put(model, fuzzing.resealed(files, content, name))
-    with fuzzing.hang_ends(10), pytest.raises(ModelFolderError, match=path.rpartition("/")[2]) as caught:
-        load(model)
+    door = fuzzing.read_model_trace if part == "trace" else fuzzing.read_model
+    with fuzzing.hang_ends(5), pytest.raises(ModelFolderError, match=path.rpartition("/")[2]) as caught:
+        door(model, None)
     assert len(str(caught.value)) < 1000
 
 
@@ -401,18 +424,68 @@ ARRAYS = {
     "no scale": ("lifting/speed_compensator/command_scale", 0.0),
     "falling range": ("lifting/operating_range/command/lowest", 7.0),
     "infinite the wrong way": ("lifting/load_filter/load_length", -np.inf),
+    "another number of inputs": ("lifting/baselines/arx/gains", np.zeros((3, 2))),
+    "another order": ("lifting/baselines/oe/past", np.zeros(3)),
+    "a delay of days": ("lifting/baselines/oe/delay", 10**8),
+    "no step": ("lifting/baselines/lstm/samples", 0),
+    "no scale of a rival": ("lifting/baselines/lstm/increment_scale", 0.0),
+    "two covariates": ("lifting/baselines/lstm/load_centre", np.zeros(2)),
+    "an unknown factor": ("lifting/baselines/narx/terms", 500),
+    "the lowest integer": ("lifting/baselines/narx/terms", -(2**63)),
+    "no term": ("lifting/baselines/narx/coefficients", np.zeros(0)),
 }
 
 
 @pytest.mark.parametrize(("name", "number"), ARRAYS.values(), ids=ARRAYS)
 def test_a_forged_array_is_refused_by_name(model, name, number):
     files = {each.name: each.read_bytes() for each in model.iterdir()}
-    tensors = {key: values.copy() for key, values in load_tensors(files["weights.safetensors"]).items()}
-    tensors[name][...] = number
-    changed = {**files, "weights.safetensors": save_tensors(tensors)}
-    fuzzing.put(model, fuzzing.resealed(changed, json.loads(files["model.json"])))
+    stem = "rivals" if "/baselines/" in name else "weights"
+    described = "rivals.json" if stem == "rivals" else "model.json"
+    tensors = load_tensors(files[f"{stem}.safetensors"])
+    like = tensors[name]
+    tensors[name] = number if np.ndim(number) else np.full(like.shape, number, like.dtype)
+    changed = {**files, f"{stem}.safetensors": save_tensors(tensors)}
+    fuzzing.put(model, fuzzing.resealed(changed, json.loads(files[described]), described))
     with pytest.raises(ModelFolderError, match="/".join(name.split("/")[:3])):
         load(model)
+
+
+ROWS = [
+    *(("key", value) for value in ("../../x", "", None)),
+    *(("date", value) for value in ("yesterday", "0001-01-01", 5)),
+    ("units/displacement", "furlong"),
+    ("directions/sideways", {}),
+    *(("directions/lifting/gain", value) for value in (1e30, "60")),
+    ("directions/lifting/dead_zone", -0.1),
+    ("directions/lifting/correlation", 2.0),
+    ("directions/lifting/tests", 10**30),
+    ("cost/peak_bytes", -1),
+    ("signature", "that-of-another"),
+    ("notices", ["x" * 2**20]),
+]
+
+
+@pytest.mark.parametrize(("path", "value"), ROWS, ids=[f"{path}={str(value)[:20]}" for path, value in ROWS])
+def test_a_forged_row_of_a_fleet_is_refused_by_key(every, tmp_path, path, value):
+    content = json.loads(files_of(every, "fleet row")["row.json"]) | {"key": "0f" * 8}
+    place = tmp_path / "rows" / content["machine"] / f"{content['signature']}.json"
+    put_in(content, path, value)
+    place.parent.mkdir(parents=True)
+    place.write_text(json.dumps(content))
+    store = Store(str(tmp_path))
+    said = {"signature": "its own place", "notices": "1 MiB"}.get(path, path.rpartition("/")[2])
+    with pytest.raises(InputError, match=said):
+        load_model(store, read_rows(store)[0], tmp_path / "models")
+
+
+@pytest.mark.parametrize(
+    "edit", [{"changes": {"gain": 1e3, "dead_zone": 0.0, "lag": 0.0}}, {"strokes": [-1]}]
+)
+def test_a_forged_entry_of_a_change_log_is_refused_by_key(tmp_path, edit):
+    line = {**json.loads(fuzzing.EVENTS[0].to_json()), **edit}
+    (tmp_path / "changes.jsonl").write_text(json.dumps(line) + "\n")
+    with pytest.raises(InputError, match=next(iter(edit))):
+        read_events(tmp_path / "changes.jsonl")
 
 
 def test_an_array_that_no_part_of_a_model_has_is_refused(model):
@@ -444,7 +517,7 @@ def test_nothing_is_unpickled(model, tmp_path):
         with pytest.raises(ModelFolderError):
             load(model)
     fuzzing.put(model, fuzzing.resealed({**files, "trace.json": code}, content))
-    with pytest.raises(ModelFolderError, match="cannot be parsed"):
+    with pytest.raises(ModelFolderError, match="was edited"):
         load_trace(model)
     assert not mark.exists()
 
@@ -454,7 +527,8 @@ def test_no_piece_of_a_run_is_unpickled_or_taken_where_it_is_no_archive(every, t
     mark = tmp_path / "mark"
     np.savez(tmp_path / "evil.npz", allow_pickle=True, x=np.array([Evil(mark)], dtype=object))
     np.save(tmp_path / "plain.npy", np.arange(3.0))
-    for made in ("evil.npz", "plain.npy"):
+    np.savez_compressed(tmp_path / "bomb.npz", x=np.zeros(10**6))
+    for made in ("evil.npz", "plain.npy", "bomb.npz"):
         content = (tmp_path / made).read_bytes()
         fuzzing.put(tmp_path / "in", {name: fuzzing.digest(content).encode() + content})
         with pytest.raises(fuzzing.Redone):

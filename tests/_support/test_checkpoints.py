@@ -14,6 +14,7 @@ from hitchid._support.checkpoints import (
     RUN_FILE,
     SUFFIX,
     Checkpoints,
+    Cube,
     has_results,
     is_empty,
     is_run,
@@ -99,24 +100,35 @@ def test_a_record_comes_back_as_it_was(tmp_path):
 
 
 MISFITS = {
-    "another size": {"best": np.zeros(3), "trace": np.zeros((4, 2))},
-    "another number of axes": {"best": np.zeros(2), "trace": np.zeros(4)},
-    "sizes that differ": {"best": np.zeros(2), "trace": np.zeros((4, 3))},
-    "no number": {"best": np.array([np.nan, 0.0]), "trace": np.zeros((4, 2))},
-    "text": {"best": np.array(["a", "b"]), "trace": np.zeros((4, 2))},
-    "missing": {"best": np.zeros(2)},
-    "more": {"best": np.zeros(2), "trace": np.zeros((4, 2)), "other": np.zeros(1)},
+    "another size": {"best": np.zeros(3)},
+    "another number of axes": {"trace": np.zeros(4)},
+    "sizes that differ": {"trace": np.zeros((3, 2))},
+    "no number": {"best": np.array([np.nan, 0.0])},
+    "text": {"best": np.array(["a", "b"])},
+    "beyond the cube": {"trace": np.full((4, 2), 1e6)},
+    "missing": {"trace": None},
+    "more": {"other": np.zeros(1)},
+    "text for a count": {"count": np.array("3")},
+    "less than nothing": {"count": np.array(-1)},
+    "half of one": {"count": np.array(0.5)},
+    "a list for a text": {"reason": np.array(["a"])},
 }
+SHAPES = {"best": (2,), "trace": Cube(("g", 2)), "losses": ("g",), "count": int, "reason": str}
+
+
+def kept_arrays(size=4):
+    """Return arrays of those shapes."""
+    arrays = {"best": np.ones(2), "trace": np.full((size, 2), 0.5), "losses": np.full(size, np.inf)}
+    return {**arrays, "count": np.array(3), "reason": np.array("enough")}
 
 
 @pytest.mark.parametrize("arrays", MISFITS.values(), ids=MISFITS)
 def test_arrays_that_are_not_those_of_the_task_are_computed_anew(tmp_path, arrays):
-    kept, shapes = Checkpoints(tmp_path / "run"), {"best": (2,), "trace": ("g", 2)}
-    kept.cached_arrays("search", Work(arrays))
-    whole = {"best": np.ones(2), "trace": np.full((5, 2), np.inf)}
-    whole["trace"][0] = 1.0
-    assert_bits(dict(kept.cached_arrays("search", Work(whole), shapes)), whole)
-    assert_bits(dict(kept.cached_arrays("search", never, shapes)), whole)
+    kept = Checkpoints(tmp_path / "run")
+    forged = {name: array for name, array in {**kept_arrays(), **arrays}.items() if array is not None}
+    kept.cached_arrays("search", Work(forged))
+    assert_bits(dict(kept.cached_arrays("search", Work(kept_arrays(5)), SHAPES)), kept_arrays(5))
+    assert_bits(dict(kept.cached_arrays("search", never, SHAPES)), kept_arrays(5))
 
 
 def test_without_a_folder_nothing_is_kept_and_all_is_done(tmp_path, monkeypatch):

@@ -411,8 +411,8 @@ FINITE = st.floats(allow_nan=False, allow_infinity=False)
         st.text(),
         st.text(),
     ),
-    st.tuples(FINITE, FINITE, FINITE),
-    st.lists(st.integers(1)),
+    st.tuples(st.floats(-100, 100), st.floats(-1e8, 1e8), st.floats(-100, 100)),
+    st.lists(st.integers(1, MOST_STROKES)),
     st.dictionaries(st.text(), FINITE),
 )
 def test_an_event_is_one_line_that_is_read_back_bit_for_bit(entry, changes, strokes, figures):

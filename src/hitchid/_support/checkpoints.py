@@ -15,11 +15,20 @@ from hitchid._support.files import canonical_json, digest, write_bytes
 from hitchid.errors import InputError
 
 Arrays = Mapping[str, np.ndarray]
-Shapes = Mapping[str, tuple[int | str, ...]]  # of arrays by name; a letter is any size, the same everywhere
+# Of arrays by name: a shape, in which a letter is any size, the same everywhere; or the type of a scalar, int
+# for a count.
+Shapes = Mapping[str, tuple[int | str, ...] | type]
+KINDS = {bool: "b", int: "iu", float: "iuf", str: "U"}  # type of a scalar to the kinds of NumPy's types
+MOST = 2**53  # of a count, which is shown and kept in JSON
+BEYOND_CUBE = 1.0  # by which a position may be outside, where its gain was calibrated since; chosen
 Cached = TypeVar("Cached")
 SUFFIX, RUN_FILE, FAILED_FILE = ".npz", "run.json", "failed"
 DIGEST_LENGTH = 64  # characters of a SHA-256 in hexadecimal
 MAX_READABLE, HASH_LENGTH = 80, 16  # characters of a file name: legible part, digest (chosen)
+
+
+class Cube(tuple[int | str, ...]):
+    """Shape of an array of positions in the unit cube."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +78,8 @@ class Checkpoints:
         Args:
             name: of the result.
             work: computes it.
-            shapes: of its arrays; those of a known size are finite. A file with others, whose digest was
-                put right, is computed anew. None for any.
+            shapes: of its arrays; those of a known size are finite, and those of a `Cube` near it. A file
+                with others, whose digest was put right, is computed anew. None for any.
 
         Raises:
             OutputError: it cannot be written.
@@ -104,7 +113,7 @@ class Checkpoints:
             return {field.name: np.asarray(getattr(record, field.name)) for field in fields(record)}
 
         record_type: Any = kind
-        scalars = dict.fromkeys((field.name for field in fields(record_type)), ())
+        scalars: dict[str, Any] = {field.name: field.type for field in fields(record_type)}
         arrays = self.cached_arrays(name, as_arrays, {**scalars, **shapes})
         return kind(**{name: value if value.ndim else value.item() for name, value in arrays.items()})
 
@@ -170,13 +179,20 @@ def _has_shapes(arrays: Arrays, shapes: Shapes) -> bool:
     sizes: dict[str, int] = {}
     for name, shape in shapes.items():
         array = arrays[name]
-        if array.ndim != len(shape):
+        kinds, axes = (KINDS[shape], 0) if isinstance(shape, type) else ("iuf", len(shape))
+        if array.ndim != axes or array.dtype.kind not in kinds:
             return False
+        if isinstance(shape, type):
+            if shape is int and not 0 <= array <= MOST:
+                return False
+            continue
         for expected, size in zip(shape, array.shape, strict=True):
             if size != (sizes.setdefault(expected, size) if isinstance(expected, str) else expected):
                 return False
-        is_known = bool(shape) and all(isinstance(expected, int) for expected in shape)
-        if (shape and array.dtype.kind not in "iuf") or (is_known and not np.all(np.isfinite(array))):
+        if isinstance(shape, Cube) and not np.all(np.abs(array - 0.5) <= 0.5 + BEYOND_CUBE):
+            return False
+        is_known = all(isinstance(expected, int) for expected in shape)
+        if is_known and not np.all(np.isfinite(array)):
             return False
     return True
 
@@ -197,6 +213,8 @@ def _read(path: Path) -> dict[str, np.ndarray] | None:
         if digest(data[DIGEST_LENGTH:]).encode() != data[:DIGEST_LENGTH]:
             return None
         with np.load(io.BytesIO(data[DIGEST_LENGTH:]), allow_pickle=False) as archive:
-            return dict(archive)
+            # Nothing is compressed where it is written: what unpacks to more than its file is no result.
+            unpacked = sum(member.file_size for member in archive.zip.infolist())
+            return dict(archive) if unpacked <= len(data) else None
     except Exception:  # numpy may reject an archive although its digest is right
         return None

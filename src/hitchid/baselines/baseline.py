@@ -24,6 +24,16 @@ class FittedBaseline(eqx.Module):
     def free_run(self, batch: Batch) -> Float[np.ndarray, "t n"]:
         """Return displacement simulated from commands and initial displacement, shape [T, N]."""
 
+    def check(self, covariates: int) -> None:
+        """Check the numbers of a model that was read, whose arrays have the shapes of its skeleton.
+
+        Args:
+            covariates: how many the tests have, 1 where they have none.
+
+        Raises:
+            ValueError: a number is none that a fit gives.
+        """
+
     @abstractmethod
     def predict(self, batch: Batch, horizons: Sequence[int]) -> list[Float[np.ndarray, "t n"]] | None:
         """Return the h-step-ahead predictions of displacement, for each h, shape [T, N] each.

@@ -12,7 +12,7 @@ import optax
 from jaxtyping import Array, Float, Float32, PyTree
 
 from hitchid.baselines.baseline import Baseline, FitContext, FittedBaseline, Sizes
-from hitchid.baselines.linear import covariate_scaling, covariates_of
+from hitchid.baselines.linear import MAX_STEP_SAMPLES, covariate_scaling, covariates_of
 from hitchid.errors import FitError
 from hitchid.estimation.training import EpochCallback, optimiser, weight_shapes, weights_of, with_weights
 from hitchid.structures import Batch, validation_mask
@@ -308,6 +308,20 @@ class BlackBox(FittedBaseline):
     increment_scale: np.ndarray
     samples: np.ndarray
 
+    def check(self, covariates: int) -> None:
+        """Check members, covariates, scales and steps; see `FittedBaseline.check`."""
+        if len(self.networks.bias) < 1 or len(self.load_centre) != covariates:
+            raise ValueError(
+                f"got {len(self.networks.bias)} members for {len(self.load_centre)} covariates, expected at "
+                f"least one for {covariates}"
+            )
+        scales = [self.command_scale, *self.load_scale, self.position_scale, self.increment_scale]
+        if min(scales) <= 0 or not 1 <= self.samples <= MAX_STEP_SAMPLES:
+            raise ValueError(
+                f"got {min(scales):g} as smallest scale and steps of {self.samples} samples, expected more "
+                f"than 0 and 1 to {MAX_STEP_SAMPLES}"
+            )
+
     @classmethod
     def untrained(cls, batch: Batch, signals: BlockSignals, samples: int, seed: int) -> "BlackBox":
         """Return an ensemble that stands still, scaled to tests."""
@@ -405,7 +419,7 @@ class BlackBoxBaseline(Baseline):
             return {**weights_of(networks), "best_step": np.asarray(best_step)}
 
         arrays = context.checkpoints.cached_arrays(
-            "training", trained, {**weight_shapes(untrained.networks), "best_step": ()}
+            "training", trained, {**weight_shapes(untrained.networks), "best_step": int}
         )
         if not arrays["best_step"]:
             raise FitError(
@@ -416,13 +430,19 @@ class BlackBoxBaseline(Baseline):
 
     def skeleton(self, shapes: Sizes) -> BlackBox:
         """Return a model of the stored sizes, all arrays zero."""
-        networks = IntegratingLstm(
-            *(
-                jnp.zeros(shapes[f"networks/{name}"], SINGLE)
-                for name in ("weight_ih", "weight_hh", "bias", "head", "head_bias")
-            )
-        )
-        scalings = (np.zeros(shapes.get(name, ())) for name in SCALINGS)
+        (members, gates), (loads,) = shapes["networks/bias"], shapes["load_centre"]
+        rows = {
+            "weight_ih": (2 * STEPS + loads, gates),
+            "weight_hh": (gates // 4 + 1, gates),
+            "bias": (gates,),
+            "head": (gates // 4, STEPS),
+            "head_bias": (STEPS,),
+        }
+        for name, shape in rows.items():  # before memory is allocated
+            if shapes[f"networks/{name}"] != (members, *shape) or gates < 4:
+                raise ValueError(f"{name}: got {shapes[f'networks/{name}']}, expected {(members, *shape)}")
+        networks = IntegratingLstm(*(jnp.zeros((members, *shape), SINGLE) for shape in rows.values()))
+        scalings = (np.zeros(loads if name.startswith("load_") else ()) for name in SCALINGS)
         return BlackBox(networks, *scalings, samples=np.zeros((), np.int64))
 
 

@@ -14,6 +14,10 @@ from hitchid.structures import Batch, split_validation
 
 # Inputs of the linear baselines, and their tests without padding.
 
+MAX_STEP_SAMPLES = (
+    100_000  # samples in a step of a stored baseline; chosen: tests of days at 100 Hz have fewer
+)
+
 
 class LinearInputs(eqx.Module):
     """Inputs of a linear model of travel: command, command times each covariate, 1, initial displacement.
@@ -47,6 +51,15 @@ class LinearInputs(eqx.Module):
         """Return covariates and initial displacement of each test, scaled, shapes [T, C] and [T]."""
         load = (covariates_of(batch) - self.load_centre) / self.load_scale
         return load, (np.asarray(batch.initial) - self.initial_centre) / self.initial_scale
+
+    def check(self, covariates: int) -> None:
+        """Check the scaling; raises ValueError unless it is of so many covariates and divides by no zero."""
+        scales = np.append(self.load_scale, self.initial_scale)
+        if len(self.load_scale) != covariates or np.min(scales) <= 0:
+            raise ValueError(
+                f"scaling: got {len(self.load_scale)} covariates and {np.min(scales):g} as smallest scale; "
+                f"expected {covariates} and more than 0"
+            )
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -205,6 +218,15 @@ class Arx(Autoregression):
         """Fit by least squares one step ahead to tests that start from rest."""
         return _solved(scaling, _triangular_factor(tests, order), order, order, len(tests[0].inputs))
 
+    def check(self, covariates: int) -> None:
+        """Check the scaling, the order and the number of inputs; see `FittedBaseline.check`."""
+        self.scaling.check(covariates)
+        if self.lag not in range(1, ORDERS[-1] + 1) or len(self.gains) not in self.scaling.counts:
+            raise ValueError(
+                f"got {len(self.gains)} inputs of order {self.lag}, expected {self.scaling.counts} inputs of "
+                f"order 1 to {ORDERS[-1]}"
+            )
+
     @property
     def lag(self) -> int:
         """Largest lag n, in samples."""
@@ -261,7 +283,7 @@ class ArxBaseline(Baseline):
         return Arx(
             LinearInputs.unfilled(*shapes["scaling/load_centre"]),
             np.zeros(shapes["past"]),
-            np.zeros(shapes["gains"]),
+            np.zeros((shapes["gains"][0], *shapes["past"])),
         )
 
 

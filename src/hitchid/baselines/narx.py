@@ -209,6 +209,20 @@ class Narx(Autoregression):
     travel_scale: np.ndarray
     command_scale: np.ndarray
 
+    def check(self, covariates: int) -> None:
+        """Check scaling, scales and factors; see `FittedBaseline.check`."""
+        self.scaling.check(covariates)
+        known = (np.abs(self.terms) <= LAGS[-1]) | (
+            (self.terms >= CONSTANT) & (self.terms <= CONSTANT + covariates)
+        )
+        if not 1 <= len(self.terms) <= TERMS[-1] or not known.all():
+            raise ValueError(
+                f"terms: got {len(self.terms)} with {int(np.sum(~known))} unknown factors, expected 1 to "
+                f"{TERMS[-1]} of lags up to {LAGS[-1]} and constants"
+            )
+        if min(self.travel_scale, self.command_scale) <= 0:
+            raise ValueError("travel_scale, command_scale: expected more than 0")
+
     @property
     def lag(self) -> int:
         """Largest lag i of any factor, in samples, at least 1."""
@@ -307,7 +321,8 @@ class NarxBaseline(Baseline):
 
     def skeleton(self, shapes: Sizes) -> Narx:
         """Return a model of the stored number of terms, all arrays zero."""
-        terms, coefficients = np.zeros(shapes["terms"], np.int64), np.zeros(shapes["coefficients"])
+        coefficients = np.zeros(shapes["coefficients"])
+        terms = np.zeros((*coefficients.shape, 2), np.int64)
         return Narx(
             LinearInputs.unfilled(*shapes["scaling/load_centre"]),
             terms,

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from hitchid.baselines.baseline import Baseline, FitContext, FittedBaseline, Sizes
 from hitchid.baselines.linear import (
+    MAX_STEP_SAMPLES,
     Arx,
     LinearInputs,
     UnpaddedTest,
@@ -94,6 +95,15 @@ class OutputError(FittedBaseline):
     delay: np.ndarray
     samples: np.ndarray
 
+    def check(self, covariates: int) -> None:
+        """Check scaling, order, inputs, delay and step; see `FittedBaseline.check`."""
+        Arx(self.scaling, self.past, self.gains).check(covariates)
+        if not (0 <= self.delay <= DELAYS[-1] and 1 <= self.samples <= MAX_STEP_SAMPLES):
+            raise ValueError(
+                f"got a delay of {self.delay} steps of {self.samples} samples, expected 0 to {DELAYS[-1]} "
+                f"steps of 1 to {MAX_STEP_SAMPLES} samples"
+            )
+
     def free_run(self, batch: Batch) -> Float[np.ndarray, "t n"]:
         """Return displacement simulated from commands and initial displacement, shape [T, N]."""
         count, step = batch.command.shape[1], int(self.samples)
@@ -144,11 +154,13 @@ class OutputErrorBaseline(Baseline):
 
     def skeleton(self, shapes: Sizes) -> OutputError:
         """Return a model of the stored order, all coefficients zero."""
-        scaling, steps = (
+        return OutputError(
             LinearInputs.unfilled(*shapes["scaling/load_centre"]),
-            (np.zeros((), np.int64), np.ones((), np.int64)),
+            np.zeros(shapes["past"]),
+            np.zeros((shapes["gains"][0], *shapes["past"])),
+            np.zeros((), np.int64),
+            np.ones((), np.int64),
         )
-        return OutputError(scaling, np.zeros(shapes["past"]), np.zeros(shapes["gains"]), *steps)
 
 
 Fit = Callable[[LinearInputs, Sequence[UnpaddedTest], int], Arx]

@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from hitchid._support import checks
+from hitchid._support.bounded import Number, Positive, Size
 from hitchid._support.files import write_bytes
 from hitchid._support.jax_setup import double_precision
 from hitchid._support.records import short_repr
@@ -22,7 +23,7 @@ from hitchid.logs.record import DIRECTIONS
 from hitchid.logs.signal_map import parse_settings
 from hitchid.model import Hitch
 from hitchid.model.description import describe_channel, read_physical_model
-from hitchid.model.schema import Described, Number, PhysicalDescription, Positive, Row, Size, StepTime
+from hitchid.model.schema import Described, PhysicalDescription, Row, StepTime
 from hitchid.structures import structure_named
 
 FORMAT = 2

@@ -102,7 +102,7 @@ def train(
             **final_fields,
         }
 
-    shapes = {"training": ("e",), "validation": ("e",), "best_epoch": (), "ending": ()}
+    shapes = {"training": ("e",), "validation": ("e",), "best_epoch": int, "ending": int}
     arrays = checkpoints.cached_arrays("training", work, {**weight_shapes(network), **shapes})
     stop_reason = list(TrainingStopReason)[int(arrays["ending"]) % len(TrainingStopReason)]
     trace = TrainingHistory(arrays["training"], arrays["validation"], int(arrays["best_epoch"]), stop_reason)

@@ -1,13 +1,14 @@
 """The ledger of a fleet: what lies in the store of results is what has been done."""
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from hitchid._support.tables import DataTable
 from hitchid.errors import InputError
-from hitchid.fleet.row import FAILED, OneRow, Row, TaskRow
-from hitchid.fleet.store import Store
+from hitchid.fleet.row import FAILED, MAX_BYTES, OneRow, Row, TaskRow
+from hitchid.fleet.store import KEY_LENGTH, Store
 
 # Rows of a fleet as one table, CSV and Parquet.
 
@@ -90,11 +91,16 @@ def read_rows(
         row_type: what they are the outcome of.
 
     Raises:
-        InputError: a file is not a row.
+        InputError: a file is not a row, or that of another machine or signature than its name says.
         StoreError: the store cannot be read.
     """
     chosen = sorted(rows_in(store) if names is None else names)
-    rows = [row_type.from_json(content, name) for name, content in store.read_many(chosen).items()]
+    rows = []
+    for name, content in store.read_many(chosen, most=MAX_BYTES + 1).items():
+        row = row_type.from_json(content, name)
+        if name != row_name(row.machine, row.signature):
+            raise InputError(f"{name}: is the row of {row.machine}, {row.signature}; expected its own place")
+        rows.append(row)
     return tuple(sorted(rows, key=lambda row: (row.machine, row.date, row.signature)))
 
 
@@ -108,8 +114,11 @@ def load_model(store: Store, row: Row, folder: Path) -> Path:
     """Write the model of a row into a local folder, and return that of `hitchid.load`.
 
     Raises:
+        InputError: the key of the row is none, and may be a path out of the folder.
         StoreError: the model cannot be read.
     """
+    if not re.fullmatch(rf"[0-9a-f]{{{KEY_LENGTH}}}", row.key):
+        raise InputError(f"{row.machine}: key: got '{row.key:.40}', expected {KEY_LENGTH} hexadecimal digits")
     name = model_name(row.machine, row.key)
     target = folder / row.key
     target.mkdir(parents=True, exist_ok=True)

@@ -2,12 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from datetime import datetime
 from functools import cache
-from typing import TYPE_CHECKING, ClassVar, Literal, TypeVar
+from typing import ClassVar, Literal, TypeVar
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 from scipy.stats import norm
 
+from hitchid._support.bounded import Correlation, Count, Error, Factor, Figure, Number, Share, Size
 from hitchid._support.files import canonical_json
 from hitchid.errors import InputError
 from hitchid.identification import ChannelTrace, Identification
@@ -15,11 +18,8 @@ from hitchid.logs.campaign import Campaign
 from hitchid.model import Estimate, Estimates, Hitch, Information, Interval, Quantity
 from hitchid.model.estimates import NOT_ASSESSED
 
-if TYPE_CHECKING:
-    from pydantic import TypeAdapter
-
-
 DONE, FAILED = "done", "failed"
+MAX_BYTES = 2**20  # of the file of a row; chosen: two hundred times the largest one seen
 
 
 @dataclass(frozen=True)
@@ -41,17 +41,17 @@ class DirectionRow:
     """
 
     structure: str
-    gain: float
-    dead_zone: float
-    gain_error: float | None
-    dead_zone_error: float
-    correlation: float
-    delay_s: float | None
-    delay_error_s: float | None
-    load_scatter: float | None
-    rmse: float
-    held_out_rmse: float | None
-    tests: int
+    gain: Number
+    dead_zone: Size
+    gain_error: Factor | None
+    dead_zone_error: Factor
+    correlation: Correlation
+    delay_s: Size | None
+    delay_error_s: Factor | None
+    load_scatter: Factor | None
+    rmse: Error
+    held_out_rmse: Error | None
+    tests: Count
 
 
 @dataclass(frozen=True)
@@ -71,14 +71,14 @@ class DriftRow:
         tests: number of new tests.
     """
 
-    gain_change: float | None
-    gain_change_error: float | None
-    dead_zone_change: float | None
-    dead_zone_change_error: float | None
-    p_value: float | None
-    rmse: float
-    reference_rmse: float
-    tests: int
+    gain_change: Figure | None
+    gain_change_error: Factor | None
+    dead_zone_change: Figure | None
+    dead_zone_change_error: Factor | None
+    p_value: Share | None
+    rmse: Error
+    reference_rmse: Error
+    tests: Count
 
 
 @dataclass(frozen=True)
@@ -92,11 +92,11 @@ class Cost:
         peak_bytes: largest memory of the worker until then.
     """
 
-    seconds: float
-    core_seconds: float
-    bytes_read: int
-    bytes_written: int
-    peak_bytes: int
+    seconds: Error
+    core_seconds: Error
+    bytes_read: Count
+    bytes_written: Count
+    peak_bytes: Count
 
 
 @dataclass(frozen=True)
@@ -140,14 +140,29 @@ class TaskRow:
         Raises:
             InputError: it is not a row.
         """
-        from pydantic import ValidationError
+        from hitchid.logs.signal_map import describe
 
         try:
-            return _adapter(cls).validate_json(content)
-        except ValidationError as error:
-            first = error.errors()[0]
-            place = ".".join(map(str, first["loc"])) or "the file"
-            raise InputError(f"{name}: is not a row of a fleet: {place}: {first['msg']}") from error
+            if len(content) > MAX_BYTES:
+                raise ValueError(f"got more than {MAX_BYTES >> 20} MiB")
+            row = _adapter(cls).validate_json(content)
+            row.check()
+        except ValueError as error:
+            reason = describe(error) if isinstance(error, ValidationError) else error
+            raise InputError(f"{name}: is not a row of a fleet: {reason}") from error
+        return row
+
+    def check(self) -> None:
+        """Check what the types do not: raises ValueError for other directions, or a date that is none."""
+        from hitchid.logs.record import DIRECTIONS
+
+        for direction in self.directions:
+            if direction not in DIRECTIONS:
+                raise ValueError(f"directions: got '{direction}', expected {' or '.join(DIRECTIONS)}")
+        try:
+            datetime.fromisoformat(self.date or "2000-01-01").timestamp()
+        except (ValueError, OverflowError) as error:
+            raise ValueError(f"date: got '{self.date}', expected one in ISO 8601") from error
 
 
 OneRow = TypeVar("OneRow", bound=TaskRow)
@@ -166,6 +181,15 @@ class Row(TaskRow):
     directions: Mapping[str, DirectionRow] = field(default_factory=dict)
     digest: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
+
+    def check(self) -> None:
+        """Check the units, too; see `TaskRow.check`."""
+        from hitchid.logs.units import UNITS
+
+        super().check()
+        for role, unit in self.units.items():
+            if unit not in UNITS:
+                raise ValueError(f"units.{role}: got '{unit}', expected one of {', '.join(UNITS)}")
 
 
 @dataclass(frozen=True)
@@ -190,9 +214,7 @@ class ValidationRow(TaskRow):
 
 
 @cache
-def _adapter(kind: type) -> "TypeAdapter":
-    from pydantic import TypeAdapter
-
+def _adapter(kind: type) -> TypeAdapter:
     return TypeAdapter(kind)
 
 

@@ -107,8 +107,12 @@ class Store:
         """
         return self._call("read", name, lambda system, path: system.cat_file(path))
 
-    def read_many(self, names: Sequence[str]) -> dict[str, bytes]:
+    def read_many(self, names: Sequence[str], most: int | None = None) -> dict[str, bytes]:
         """Return the content of several files, read at the same time where the store can do so.
+
+        Args:
+            names: of the files.
+            most: bytes of each that are read at most; None for all.
 
         Raises:
             StoreError: one does not exist or cannot be read.
@@ -119,7 +123,7 @@ class Store:
         paths = [f"{root}/{name}" for name in names]
         # Not `cat`: it reads `rig [1]`, `rig ?` and `rig *` as patterns, which other machines match.
         contents = self._call(
-            "read", "", lambda system, _: system.cat_ranges(paths, None, None, on_error="raise")
+            "read", "", lambda system, _: system.cat_ranges(paths, None, most, on_error="raise")
         )
         return dict(zip(names, contents, strict=True))
 

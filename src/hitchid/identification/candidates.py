@@ -7,7 +7,7 @@ from itertools import pairwise
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid._support.checkpoints import Shapes
+from hitchid._support.checkpoints import Cube, Shapes
 from hitchid._support.metrics import better_on_held_out_tests, log_ratio_p_value
 from hitchid._support.records import short_repr
 from hitchid.estimation import Objective, refine_subset
@@ -326,7 +326,7 @@ def evaluation_shapes(objective: Objective, folds: Sequence[np.ndarray]) -> Shap
     """Return the shapes of the arrays of an `Evaluation`."""
     held_out = (int(sum(held_tests.sum() for held_tests in folds)),)
     errors = dict.fromkeys(("held_out", "held_out_per_test_gain", "fold"), held_out)
-    return {"positions": (len(objective.spec.parameters),), **errors}
+    return {"positions": Cube((len(objective.spec.parameters),)), **errors}
 
 
 def _with_tests(objective: Objective, tests: np.ndarray) -> Objective:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid._support.checkpoints import DISABLED, Checkpoints
+from hitchid._support.checkpoints import DISABLED, Checkpoints, Cube
 from hitchid._support.progress import (
     ProgressCallback,
     ProgressUpdate,
@@ -157,7 +157,7 @@ def find_parameters(
         "search",
         SearchResult,
         lambda: search.minimise(problem, seed, callback),
-        {"best": (size,), "fitness_trace": ("g",), "best_trace": ("g", size)},
+        {"best": Cube((size,)), "fitness_trace": ("g",), "best_trace": Cube(("g", size))},
     )
     position = checkpoints.cached_arrays(
         "least squares",
@@ -166,7 +166,7 @@ def find_parameters(
                 objective, [search_result.best, *_local_starts(spec, seed)], parts
             )
         },
-        {"position": (size,)},
+        {"position": Cube((size,))},
     )["position"]
     return Fit(objective, position, objective, search_result)
 
@@ -197,9 +197,8 @@ def continue_fit(
         refined = refine(objective.problem(), objective.position(start), limit=STEPS)
         return {"position": with_calibrated_gain(objective, refined.position)}
 
-    position = checkpoints.cached_arrays("least squares", work, {"position": (len(spec.parameters),)})[
-        "position"
-    ]
+    shapes = {"position": Cube((len(spec.parameters),))}
+    position = checkpoints.cached_arrays("least squares", work, shapes)["position"]
     return Fit(objective, position, plain.searched, plain.search_result)
 
 

@@ -23,6 +23,9 @@ LONGEST_S, MOST_STROKES = 1e10, 10**9  # of a change log: three hundred years, a
 REPORTED = (PROMOTED, ROLLED_BACK, CHANGE_DETECTED, AT_LIMIT, FAULT)
 
 
+Stroke = Annotated[int, Field(ge=0, le=MOST_STROKES)]
+
+
 def _whole(changes: object) -> object:
     """Return changes as they are read, after a check that none is missing: it would count as zero."""
     if isinstance(changes, Mapping) and set(changes) != set(Changes._fields):
@@ -53,11 +56,11 @@ class Event:
 
     kind: str
     time_s: Annotated[float, Field(ge=0, le=LONGEST_S)]
-    stroke: Annotated[int, Field(ge=0, le=MOST_STROKES)]
+    stroke: Stroke
     direction: str
     reason: str
     changes: Annotated[Changes, BeforeValidator(_whole)]
-    strokes: tuple[int, ...] = ()
+    strokes: tuple[Stroke, ...] = ()
     figures: Mapping[str, float] = field(default_factory=dict)
 
     @property

@@ -12,6 +12,7 @@ from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from hitchid._support.bounded import LogFactor, Number
 from hitchid._support.jax_setup import double_precision
 from hitchid._support.records import short_repr
 from hitchid.errors import InputError
@@ -98,9 +99,9 @@ class Changes(NamedTuple):
         lag: natural logarithm of the factor on the lag; see `lag_index`.
     """
 
-    gain: float = 0.0
-    dead_zone: float = 0.0
-    lag: float = 0.0
+    gain: LogFactor = 0.0
+    dead_zone: Number = 0.0
+    lag: LogFactor = 0.0
 
 
 def check_adaptable(channel: Channel) -> None:

@@ -71,7 +71,7 @@ def describe(error: ValidationError, model: type[BaseModel] | None = None) -> st
         error: of the validation.
         model: the validated model, whose keys are compared with one that is not known.
     """
-    first = error.errors()[0]
+    first = error.errors(include_url=False)[0]
     kind, location = first["type"], first["loc"]
     key = _truncated(".".join(map(str, location)) or "settings")
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):

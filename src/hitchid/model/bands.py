@@ -3,13 +3,17 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from pydantic import Field
 from scipy.special import ndtri
 
+from hitchid._support.bounded import MAX_MAGNITUDE, CountFromOne, Factor, Level, Number
 from hitchid._support.records import short_repr
 from hitchid.errors import InputError
+
+Movement = Annotated[float, Field(ge=1e-300, lt=MAX_MAGNITUDE)]  # is divided by
 
 
 @short_repr
@@ -33,7 +37,7 @@ class EnsembleMember:
 
     benchmark: tuple[float, ...]
     network: int | None = None
-    weight: float = 1.0
+    weight: Number = 1.0
 
 
 @short_repr
@@ -54,12 +58,12 @@ class PredictionSpread:
         multipliers: q_h for each horizon and level.
     """
 
-    noise: float
-    exponent: float
-    horizons: tuple[int, ...]
-    movements: tuple[float, ...]
-    growths: tuple[float, ...]
-    multipliers: tuple[tuple[float, ...], ...]
+    noise: Factor
+    exponent: Factor
+    horizons: tuple[CountFromOne, ...]
+    movements: tuple[Movement, ...]
+    growths: tuple[Factor, ...]
+    multipliers: tuple[tuple[Factor, ...], ...]
 
     def spread(self, horizon: int, movement: np.ndarray) -> np.ndarray:
         """Return √(n² + g_h² (m/m_h)^(2p)), in the displacement's unit.
@@ -104,9 +108,9 @@ class Bands:
     """
 
     ensemble: tuple[EnsembleMember, ...]
-    noise: float
-    levels: tuple[float, ...]
-    free_run: tuple[float, ...]
+    noise: Factor
+    levels: tuple[Level, ...]
+    free_run: tuple[Factor, ...]
     predictions: PredictionSpread
     tests: tuple[int, int]
 

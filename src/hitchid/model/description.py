@@ -60,7 +60,8 @@ def fill(skeleton: Part, tensors: Tensors, prefix: str) -> Part:
         if stored is None or stored.shape != like.shape or stored.dtype != like.dtype:
             got = "none" if stored is None else f"shape {stored.shape}, {stored.dtype}"
             raise ValueError(f"{name}: got {got}, expected shape {like.shape}, {like.dtype}")
-        admissible = (np.abs(stored) <= MAX_NUMBER) | (np.isinf(like) & (stored == like))
+        # Not by np.abs: of the lowest integer it is negative.
+        admissible = (stored >= -MAX_NUMBER) & (stored <= MAX_NUMBER) | (np.isinf(like) & (stored == like))
         if not np.all(admissible):
             raise ValueError(f"{name}: got {stored[~admissible].flat[0]}, expected numbers within ±1e9")
         return stored if isinstance(like, np.ndarray) else jnp.asarray(stored)

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Float32, Int
 
+from hitchid._support.bounded import MAX_MAGNITUDE
 from hitchid.logs.kinds import ACTIVE_FRACTION
 from hitchid.logs.record import DIRECTIONS
 from hitchid.model.channel import Channel
@@ -31,7 +32,6 @@ from hitchid.networks.lstm import SINGLE
 from hitchid.structures import DiscretePhysicalModel, ValveState
 
 STANDING = -1  # `HitchState.mode` before the first effective command: no channel is active
-MAX_MAGNITUDE = 1e9  # a command or displacement beyond it, in its unit, is taken as missing; chosen
 
 
 class HitchDynamics(eqx.Module):

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from math import inf, log
 
+from hitchid._support.bounded import Correlation, CountFromOne, FromOne, Size
 from hitchid._support.records import short_repr
 from hitchid.model.bands import Bands
 
@@ -34,10 +35,10 @@ class Information:
     score_covariance: tuple[tuple[float, ...], ...]
     dead_zone_covariance: tuple[tuple[float, ...], ...]
     autocovariance: tuple[float, ...]
-    block_size: int
+    block_size: CountFromOne
     per_test_gain: bool
-    tests: int
-    samples: float
+    tests: CountFromOne
+    samples: FromOne
 
 
 Interval = tuple[float | None, float | None]
@@ -70,7 +71,7 @@ class Estimate:
     symbol: str
     unit: str
     value: float
-    error: float | None
+    error: Size | None
     interval: Interval
     method: str
     bootstrap: Interval | None
@@ -140,7 +141,7 @@ class Estimates:
 
     parameters: tuple[Estimate, ...]
     derived: tuple[Quantity, ...]
-    correlation: tuple[tuple[float, ...], ...]
+    correlation: tuple[tuple[Correlation, ...], ...]
     tests: int
     rows: int
 

@@ -47,6 +47,7 @@ from hitchid.model.schema import (
     Sealed,
     parse,
 )
+from hitchid.model.schema_checks import named
 
 # Conversion between the rivals of a model and JSON and tensors.
 
@@ -71,7 +72,7 @@ def read_rivals(described: Mapping[Direction, RivalsOfDirection], tensors: Tenso
     """Return the rivals of each direction from their description and tensors.
 
     Raises:
-        ValueError: the tensors are not those of rivals.
+        ValueError: the tensors are not those of rivals, or a number in them is none that a fit gives.
         InputError: a baseline is not installed.
     """
     return {direction: _read_rivals(direction, rivals, tensors) for direction, rivals in described.items()}
@@ -97,8 +98,12 @@ def _read_rivals(direction: str, described: RivalsOfDirection, tensors: Tensors)
     baselines = {}
     for name in described.baselines:
         prefix = f"{direction}/baselines/{name}"
-        skeleton = baseline_named(name).skeleton(shapes_of(tensors, prefix))
+        baseline, shapes = baseline_named(name), shapes_of(tensors, prefix)
+        with named(prefix):
+            skeleton = baseline.skeleton(shapes)
         baselines[name] = fill(skeleton, tensors, prefix)
+        with named(prefix):
+            baselines[name].check(len(described.covariates) or 1)
     paper = described.paper
     return Rivals(
         baselines,
@@ -116,7 +121,10 @@ WEIGHTS_FILE = "weights.safetensors"
 TRACE_FILE = "trace.json"
 RIVALS_FILE = "rivals.json"
 RIVALS_WEIGHTS_FILE = "rivals.safetensors"
-MAX_BYTES = 2**28  # of one file; chosen: a hundred times the largest model seen
+# Of a file; chosen: a hundred times the largest ones seen. A value of JSON takes a hundred times its text in
+# memory; a trace grows with the budget of the search.
+MAX_BYTES = {WEIGHTS_FILE: 2**28, RIVALS_WEIGHTS_FILE: 2**28, TRACE_FILE: 2**24}
+MAX_DESCRIPTION_BYTES = 2**22
 
 
 @checks.named_arguments
@@ -179,20 +187,22 @@ def load(folder: str | Path) -> Hitch:
         check_known(tensors, deployed_tensors(hitch))
     written = datetime.fromtimestamp((path / MODEL_FILE).stat().st_mtime, UTC)
     provenance = replace(hitch.provenance, name=path.resolve().name, date=f"{written:%Y-%m-%d}")
-    return replace(hitch, provenance=provenance, rivals=_load_rivals(path, described.digest))
+    return replace(hitch, provenance=provenance, rivals=_load_rivals(path, described))
 
 
-def _load_rivals(folder: Path, model_digest: str) -> dict[str, Rivals]:
+def _load_rivals(folder: Path, model: ModelDescription) -> dict[str, Rivals]:
     """Return the rivals stored beside a model; none where it has none."""
     if not (folder / RIVALS_FILE).exists():
         return {}
     described = _read_description(folder / RIVALS_FILE, RivalsDescription, "rivals")
-    if described.model != model_digest:
+    if described.model != model.digest:
         raise ModelFolderError(
             f"{folder / RIVALS_FILE}: belongs to another model; remove it, and train the rivals again"
         )
-    weights = _read_checked(folder / RIVALS_WEIGHTS_FILE, described)
     with _refused(folder / RIVALS_FILE):
+        described.check_model(model)
+    weights = _read_checked(folder / RIVALS_WEIGHTS_FILE, described)
+    with _refused(folder / RIVALS_WEIGHTS_FILE):
         tensors = load_tensors(weights)
         rivals = read_rivals(described.rivals, tensors)
         check_known(tensors, rivals_tensors(rivals))
@@ -214,11 +224,10 @@ def load_trace(folder: str | Path) -> dict:
         ModelFolderError, InputError: as `load`.
     """
     path = checks.path(folder, "folder")
-    data = _read_checked(
-        path / TRACE_FILE, _read_description(path / MODEL_FILE, ModelDescription, "a model folder")
-    )
+    described = _read_description(path / MODEL_FILE, ModelDescription, "a model folder")
+    trace = _canonical(path / TRACE_FILE, _read_checked(path / TRACE_FILE, described))
     with _refused(path / TRACE_FILE):
-        return TypeAdapter(dict[str, dict[str, Any]]).validate_json(data, strict=True)
+        return TypeAdapter(dict[Direction, dict[str, Any]]).validate_python(trace, strict=True)
 
 
 def _sealed(content: Mapping[str, object], files: Mapping[str, bytes]) -> dict[str, object]:
@@ -236,11 +245,7 @@ def _read_description(path: Path, kind: type[AnySealed], required: str) -> AnySe
         required: what is expected, for the error of a missing file.
     """
     data = _read(path, required)
-    try:
-        content = json.loads(data)
-        canonical = canonical_json(content)
-    except (ValueError, RecursionError) as error:
-        raise ModelFolderError(f"{path}: is truncated or was edited: {type(error).__name__}") from error
+    content = _canonical(path, data)
     if not isinstance(content, dict) or content.get("kind") != kind.KIND:
         raise ModelFolderError(f"{path}: is not the description of {kind.KIND}")
     schema = content.get("schema")
@@ -251,18 +256,35 @@ def _read_description(path: Path, kind: type[AnySealed], required: str) -> AnySe
             "identify again"
         )
     claimed = content.pop("digest", "")
-    if canonical != data or claimed != digest(canonical_json(content)):
+    if claimed != digest(canonical_json(content)):
         raise ModelFolderError(f"{path}: was edited: its digest does not match; identify again")
     return parse(kind, data, path)
+
+
+def _canonical(path: Path, data: bytes) -> object:
+    """Return the content of a file of canonical JSON: finite numbers, each key once.
+
+    Raises:
+        ModelFolderError: it is none.
+    """
+    try:
+        content = json.loads(data)
+        canonical = canonical_json(content)
+    except (ValueError, RecursionError) as error:
+        raise ModelFolderError(f"{path}: is truncated or was edited: {type(error).__name__}") from error
+    if canonical != data:
+        raise ModelFolderError(f"{path}: was edited: it is not as hitchid writes it; identify again")
+    return content
 
 
 def _read(path: Path, required: str) -> bytes:
     try:
         if inside_folder(path).exists() and not path.is_file():  # reading a pipe would block
             raise ModelFolderError(f"{path}: cannot be read: it is not a file; expected {required}")
-        if path.exists() and path.stat().st_size > MAX_BYTES:
+        most = MAX_BYTES.get(path.name, MAX_DESCRIPTION_BYTES)
+        if path.exists() and path.stat().st_size > most:
             raise ModelFolderError(
-                f"{path}: has {path.stat().st_size / 2**20:.0f} MiB, expected at most {MAX_BYTES >> 20}"
+                f"{path}: has {path.stat().st_size / 2**20:.0f} MiB, expected at most {most >> 20}"
             )
         return path.read_bytes()
     except OSError as error:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+from hitchid._support.bounded import Count, Error, Number
 from hitchid._support.records import short_repr
 from hitchid.baselines.baseline import FittedBaseline
 from hitchid.model.channel import Channel
@@ -24,11 +25,11 @@ class SearchSummary:
     """
 
     name: str
-    rmse: tuple[float | None, ...]
-    evaluations: tuple[int, ...]
-    failures: tuple[int, ...]
-    median_rmse: tuple[float | None, ...]
-    median_values: tuple[tuple[float, ...], ...]
+    rmse: tuple[Error | None, ...]
+    evaluations: tuple[Count, ...]
+    failures: tuple[Count, ...]
+    median_rmse: tuple[Error | None, ...]
+    median_values: tuple[tuple[Number, ...], ...]
 
     def scaled(self, factor: float) -> "SearchSummary":
         """Return the summary with a factor on the errors, for another unit of displacement."""

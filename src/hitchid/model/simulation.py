@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from numpy.typing import DTypeLike
 
 from hitchid._support import checks
+from hitchid._support.bounded import MAX_MAGNITUDE
 from hitchid._support.jax_setup import double_precision
 from hitchid._support.tables import GAP, dataframe, screen, wrapped
 from hitchid.errors import InputError
@@ -19,7 +20,7 @@ from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT, Record, held_
 from hitchid.logs.units import conversion_factor
 from hitchid.model.bands import Band, Bands, bands_by_channel
 from hitchid.model.channel import Channel
-from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
+from hitchid.model.dynamics import HitchDynamics
 from hitchid.model.free_run import (
     FreeRun,
     FreeRunInputs,

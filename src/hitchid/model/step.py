@@ -13,10 +13,11 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Float32, PyTree
 
 from hitchid._support import checks
+from hitchid._support.bounded import MAX_MAGNITUDE
 from hitchid._support.records import short_repr
 from hitchid.errors import InputError
 from hitchid.logs.record import DIRECTIONS
-from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
+from hitchid.model.dynamics import HitchDynamics
 from hitchid.model.error_prediction import clip_at_end_stops
 from hitchid.model.inputs import channel_load, mean_load
 from hitchid.model.load_filter import JUMP, TINY

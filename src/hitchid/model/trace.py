@@ -1,21 +1,30 @@
 """The trace of an identification, read from the content of `trace.json`."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated, TypeVar
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import FailFast, Field, TypeAdapter, ValidationError
 
+from hitchid._support.bounded import Count, Error, Number, Size
 from hitchid._support.records import short_repr
+from hitchid.errors import ModelFolderError
+from hitchid.logs.signal_map import describe
 from hitchid.model.estimates import Estimate
+
+MOST = Field(max_length=100)  # parameters, or structures that were compared: each is drawn; chosen
+Item = TypeVar("Item")
+Series = Annotated[tuple[Item, ...], FailFast()]  # of all that is wrong in it one is named: it may be long
 
 
 @dataclass(frozen=True)
 class TracedDeadZone:
     """A dead zone, its standard deviation, and the number and origin of its logs."""
 
-    value: float
-    spread: float | None
-    count: int
+    value: Size
+    spread: Size | None
+    count: Count
     origin: str
 
 
@@ -23,7 +32,7 @@ class TracedDeadZone:
 class TracedEstimates:
     """Estimates of the parameters."""
 
-    parameters: tuple[Estimate, ...]
+    parameters: Annotated[tuple[Estimate, ...], MOST]
 
 
 @dataclass(frozen=True)
@@ -38,9 +47,21 @@ class TracedSearch:
     """
 
     uncertainty: TracedEstimates
-    fitness: tuple[float | None, ...]
-    searched: tuple[str, ...]
-    values: tuple[tuple[float, ...], ...]
+    fitness: Series[Error | None]
+    searched: Series[str]
+    values: Series[Series[Number]]
+
+    def __post_init__(self) -> None:
+        """Check the sizes and names against each other; raises ValueError."""
+        estimated = {estimate.name for estimate in self.uncertainty.parameters}
+        if not set(self.searched) <= estimated or len(set(self.searched)) < len(self.searched):
+            raise ValueError(f"searched: expected each once, of {', '.join(estimated) or 'no parameters'}")
+        sizes = {len(row) for row in self.values} | {len(self.searched)}
+        if len(self.values) != len(self.fitness) or len(sizes) > 1:
+            raise ValueError(
+                f"values: got {len(self.values)} rows of {' or '.join(map(str, sorted(sizes)))}, expected "
+                f"{len(self.fitness)} of {len(self.searched)}"
+            )
 
     @property
     def parameters(self) -> tuple[Estimate, ...]:
@@ -53,9 +74,9 @@ class TracedSearch:
 class TracedTraining:
     """Losses of the error compensator over the epochs, and the selected epoch."""
 
-    training_loss: tuple[float | None, ...]
-    validation_loss: tuple[float | None, ...]
-    best_epoch: int
+    training_loss: Series[Error | None]
+    validation_loss: Series[Error | None]
+    best_epoch: Count
 
 
 @dataclass(frozen=True)
@@ -70,10 +91,10 @@ class TracedCandidate:
     """
 
     name: str
-    rmse: float | None
-    held_out_rmse: float | None
+    rmse: Error | None
+    held_out_rmse: Error | None
     chosen: bool
-    held_out_rmse_per_test_gain: float | None = None
+    held_out_rmse_per_test_gain: Error | None = None
 
 
 @short_repr
@@ -94,24 +115,29 @@ class ChannelTraceFile:
     dead_zone: TracedDeadZone
     phase1: TracedSearch
     phase2: TracedTraining | None
-    candidates: tuple[TracedCandidate, ...]
-    notices: tuple[str, ...]
-    choice_held_out_rmse: float | None = None
+    candidates: Annotated[tuple[TracedCandidate, ...], MOST]
+    notices: Series[str]
+    choice_held_out_rmse: Error | None = None
+
+    def __post_init__(self) -> None:
+        """Check that one of the candidates was chosen; raises ValueError."""
+        if self.candidates and not any(candidate.chosen for candidate in self.candidates):
+            raise ValueError("candidates: expected one that is chosen, got none")
 
 
 def read_trace(content: Mapping[str, object]) -> dict[str, ChannelTraceFile]:
-    """Return direction to trace; directions in the format of an older version are left out.
+    """Return direction to trace; what a report does not show is passed over.
 
     Args:
         content: of `trace.json`, as `hitchid.model.load_trace` returns it.
+
+    Raises:
+        ModelFolderError: a key is missing, or a value is none that an identification writes.
     """
-    traces = {}
-    for direction, trace in content.items():
-        try:
-            traces[direction] = _ADAPTER.validate_python(trace)
-        except ValidationError:
-            continue
-    return traces
+    try:
+        return _ADAPTER.validate_json(json.dumps(content), strict=True)
+    except ValidationError as error:
+        raise ModelFolderError(f"trace.json: {describe(error)}") from error
 
 
-_ADAPTER = TypeAdapter(ChannelTraceFile)
+_ADAPTER = TypeAdapter(dict[str, ChannelTraceFile])
