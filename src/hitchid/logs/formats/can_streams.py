@@ -45,9 +45,6 @@ class Inventory(NamedTuple):
 def inventory(path: Path) -> Inventory:
     """Count the frames of a BLF log and check its structure.
 
-    Args:
-        path: the log.
-
     Raises:
         LogError: the file is not a BLF log, was cut short, or has no object where one is expected.
     """

@@ -9,12 +9,13 @@ import numpy as np
 
 from hitchid.errors import InputError, LogError
 from hitchid.logs.content import ChannelSelection, Content, LogChannel
-from hitchid.logs.formats.clock_units import is_time, to_seconds
 from hitchid.logs.formats.library import (
     as_log_errors,
     floats,
     import_optional,
+    is_time,
     match_clocked_channels,
+    to_seconds,
     unique_names,
     unit_text,
 )
@@ -34,11 +35,7 @@ TIME = "time_s"  # name of the master channel of written files
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the selected channels of an MDF file.
-
-    Args:
-        path: the file.
-        selection: the requested channels; the time is that of each group's master.
+    """Read the selected channels of an MDF file; the time is that of each group's master.
 
     Raises:
         LogError: the file is damaged or was cut short, a channel is missing, or asammdf is not installed.

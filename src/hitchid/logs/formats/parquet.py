@@ -17,11 +17,7 @@ TICKS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # 1/s of the units of Arrow
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the selected columns of a Parquet file.
-
-    Args:
-        path: the file.
-        selection: the requested columns; time stamps become seconds since the first.
+    """Read the selected columns of a Parquet file; time stamps become seconds since the first.
 
     Raises:
         LogError: the file is damaged, a column is missing or not unique, or pyarrow is not installed.

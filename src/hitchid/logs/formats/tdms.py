@@ -10,11 +10,11 @@ import numpy as np
 
 from hitchid.errors import LogError
 from hitchid.logs.content import ChannelSelection, Content, LogChannel
-from hitchid.logs.formats.clock_units import is_time
 from hitchid.logs.formats.library import (
     as_log_errors,
     floats,
     import_optional,
+    is_time,
     match_clocked_channels,
     unit_text,
 )
@@ -39,11 +39,7 @@ class _Waveform(NamedTuple):
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the selected channels of a TDMS file.
-
-    Args:
-        path: the file.
-        selection: the requested channels; the time is optional if all are waveforms.
+    """Read the selected channels of a TDMS file; the time is optional if all are waveforms.
 
     Raises:
         LogError: the file is damaged or was cut short, a channel is missing, or npTDMS is not installed.

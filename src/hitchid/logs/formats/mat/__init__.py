@@ -7,8 +7,7 @@ import numpy as np
 
 from hitchid.errors import LogError
 from hitchid.logs.content import ChannelSelection, Content, LogChannel
-from hitchid.logs.formats.clock_units import to_seconds
-from hitchid.logs.formats.library import as_log_errors, floats, match_clocked_channels
+from hitchid.logs.formats.library import as_log_errors, floats, match_clocked_channels, to_seconds
 from hitchid.logs.formats.mat import version5, version73
 from hitchid.logs.formats.mat.tree import ChannelSource, Leaf, channels_of
 
@@ -17,11 +16,7 @@ KIND = "a MATLAB file"
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the selected vectors of a MATLAB file.
-
-    Args:
-        path: the file.
-        selection: the requested vectors; the time is optional in exports with a time for each signal.
+    """Read the selected vectors of a MATLAB file; the time is optional where each signal has one.
 
     Raises:
         LogError: the file is damaged or was cut short, a vector is missing or not real, or h5py, required for
