@@ -1,6 +1,6 @@
 """From tables of pandas or polars to records, and from records to tables of pandas."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
@@ -9,13 +9,12 @@ import numpy as np
 
 from hitchid._support import checks
 from hitchid.errors import InputError, LogError
-from hitchid.logs.campaign import Campaign
 from hitchid.logs.content import Content, LogChannel
 from hitchid.logs.kinds import detect_kind, full_scales
 from hitchid.logs.log_table import records_of, table_of
 from hitchid.logs.record import COMMAND, DISPLACEMENT, KINDS, LIFTING, LOWERING, Record
 from hitchid.logs.signal_map import DEFAULT_SIGNALS, Column, SignalMap, signal_map_of
-from hitchid.logs.unification import refuse, split_usable
+from hitchid.logs.unification import LeftOut, refuse, split_usable
 from hitchid.logs.units import UNITS, parse_unit, unit_of_column
 
 if TYPE_CHECKING:
@@ -66,17 +65,14 @@ def record_from_dataframe(
     return replace(record, kind=checks.one_of(kind, KINDS, "kind"))
 
 
-def campaign_from_dataframes(
+def read_frames(
     frames: Mapping[str, object] | Iterable[object],
-    *,
     signals: Mapping[str, object] | None,
     units: Mapping[str, str] | None,
-    test_patterns: Sequence[str] | None,
-    kinds: Mapping[str, str] | None,
+    *,
     strict: bool,
-    end_stops: Sequence[float] | None,
-) -> Campaign:
-    """Return the campaign of tables; see `Campaign.from_dataframes`."""
+) -> tuple[list[Record], list[LeftOut]]:
+    """Return the records of tables, and the tables that cannot be used; see `Campaign.from_dataframes`."""
     named, checked_units = _named(frames), _checked_units(units)
     records_by_frame, left_out = split_usable(
         ((name, (name, frame)) for name, frame in named.items()),
@@ -86,14 +82,7 @@ def campaign_from_dataframes(
     records = [record for records in records_by_frame for record in records]
     if left_out and not records:
         refuse(left_out, "tables")
-    return Campaign.of(
-        records,
-        test_patterns=test_patterns,
-        kinds=kinds,
-        left_out=left_out,
-        strict=strict,
-        end_stops=end_stops,
-    )
+    return records, left_out
 
 
 def to_dataframe(record: Record) -> "pandas.DataFrame":

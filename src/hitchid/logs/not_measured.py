@@ -135,7 +135,7 @@ def _error_codes(
             if not 0 < np.count_nonzero(is_code) <= readings.size - FEWEST_SAMPLES:
                 continue
             if is_command:
-                starts, stops = _runs(is_code)
+                starts, stops = true_intervals(is_code)
                 largest = float(np.max(np.abs(readings[~is_code])))
                 is_far = abs(code) > COMMAND_RATIO * largest > 0
                 errors = is_code & (is_far and bool(np.all(stops - starts <= SHORT_SAMPLES)))
@@ -152,7 +152,7 @@ def _error_codes(
 def _interruptions(readings: np.ndarray, is_code: np.ndarray) -> np.ndarray:
     """Return where a measured signal reads an error code, shape [N]."""
     code, others = float(readings[is_code][0]), readings[~is_code]
-    starts, stops = _runs(is_code)
+    starts, stops = true_intervals(is_code)
     # Positions among the others: the last before an interruption and the first after it.
     before = starts - np.concatenate([[0], np.cumsum(stops - starts)[:-1]]) - 1
     after = before + 1
@@ -222,7 +222,7 @@ def _noise_limit(readings: np.ndarray) -> float:
     return NOISE_SIGMAS * 2**0.5 * noise + 2 * float(np.min(changes, initial=np.inf) if changes.size else 0.0)
 
 
-def _runs(condition: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def true_intervals(condition: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return first samples and one past the last of every interval where a condition is true."""
     edges = np.flatnonzero(np.diff(condition.astype(np.int8), prepend=0, append=0))
     return edges[::2], edges[1::2]

@@ -64,13 +64,7 @@ class LogSection:
 
 
 def unique_stamp_rows(time_s: np.ndarray, source: object, *, column: str, line_of: LineOf) -> np.ndarray:
-    """Return the rows whose time differs from that of the row before, indices of shape [M].
-
-    Args:
-        time_s: time stamps, s, shape [N].
-        source: the log's name, for messages.
-        column: the time column's name, for messages.
-        line_of: returns the line of a row in the file; None for a format without lines.
+    """Return the rows whose time, s, differs from that of the row before, indices of shape [M].
 
     Raises:
         LogError: time is not finite, decreases, is constant, or has steps below 1 ns or infinite ones.
@@ -110,10 +104,6 @@ def spread_stamps(time_s: np.ndarray, position: np.ndarray) -> tuple[np.ndarray,
     A clock that is read in steps longer than the sampling time stamps several samples alike. They were
     sampled evenly where every stamp is within its step of one line over the rows, and anew where the
     displacement differs within stamps.
-
-    Args:
-        time_s: time stamps, s, shape [N].
-        position: displacement, of the same shape.
     """
     intervals = np.diff(time_s)
     rows = np.flatnonzero(intervals) + 1  # first rows of all stamps but the first

@@ -49,12 +49,7 @@ class LeftOut(Value):
 def split_usable(
     items: Iterable[tuple[str, Item]], work: Callable[[Item], Result], *, strict: bool
 ) -> tuple[list[Result], list[LeftOut]]:
-    """Return the results of usable items, and the items that cannot be used.
-
-    Args:
-        items: name and item.
-        work: raises `InputError` for an item that cannot be used.
-        strict: whether the first such item is an error for all.
+    """Return the results of usable items by name, and those for which `work` raises `InputError`.
 
     Raises:
         SettingsError: a settings file is wrong.
@@ -74,13 +69,7 @@ def split_usable(
 
 
 def left_out_notices(left_out: Sequence[LeftOut], total: int, what: str) -> tuple[Notice, ...]:
-    """Return a notice for each reason with the names concerned, and one with the count.
-
-    Args:
-        left_out: the items that are not used.
-        total: number of all items.
-        what: kind of item, such as `logs`.
-    """
+    """Return a notice for each reason with the names concerned, and one with the count of all `what`."""
     if not left_out:
         return ()
     names: dict[str, list[str]] = {}

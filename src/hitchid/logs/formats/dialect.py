@@ -145,11 +145,6 @@ def dialect_of(text: str, source: Path, requested: Sequence[str] = ()) -> Dialec
     The separator is the one that yields most numbers or stamps. The header is one of the ten lines above the
     first two lines of numbers: the one with most of the requested names, else of the samples' width.
 
-    Args:
-        text: the beginning of the log.
-        source: its file, for messages.
-        requested: names of columns.
-
     Raises:
         LogError: the log is empty, or has no header line.
     """
@@ -157,7 +152,10 @@ def dialect_of(text: str, source: Path, requested: Sequence[str] = ()) -> Dialec
     if not first_line:
         raise LogError(source, "the file is empty; expected a header line and samples")
     rows_by_separator = {separator: _rows(text, separator) for separator in SEPARATORS}
-    counts = {candidate: _count_numbers(rows) for candidate, rows in rows_by_separator.items()}
+    counts = {
+        candidate: sum(sum(map(is_number, row.cells)) for row in rows if len(row.cells) > 1)
+        for candidate, rows in rows_by_separator.items()
+    }
     # Commas and spaces stand within numbers and stamps, too: other separators need half of their numbers.
     separator = max(SEPARATORS, key=lambda sign: counts[sign] * (1 if sign in ", " else 2))
     if not counts[separator]:
@@ -245,11 +243,6 @@ def _rows(text: str, separator: str) -> list[_Row]:
                 rows.append(_Row(line, stripped))
             line = reader.line_num + 1
     return rows or [_Row(1, [text[:LONGEST_SHOWN]])]
-
-
-def _count_numbers(rows: Sequence[_Row]) -> int:
-    """Return the count of cells that are numbers, in rows of two cells or more."""
-    return sum(sum(map(is_number, row.cells)) for row in rows if len(row.cells) > 1)
 
 
 def _first_sample(rows: Sequence[_Row]) -> int | None:

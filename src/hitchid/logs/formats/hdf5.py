@@ -67,13 +67,20 @@ def read(path: Path, selection: ChannelSelection) -> Content:
             columns = {name: column for name, column in columns.items() if not column.is_alias}
         matches = match_clocked_channels(path, list(columns), selection, scales)
         clocks: dict[str, np.ndarray] = {}
-        for scale in {name: scales[name] for name in matches.values() if name in scales}.values():
-            if scale.name not in clocks:
-                clocks[scale.name] = _read_clock(path, scale)
-        channels = {
-            requested: _channel(path, name, columns[name], scales.get(name), clocks)
-            for requested, name in matches.items()
-        }
+        channels: dict[str, LogChannel] = {}
+        for requested, name in matches.items():
+            column, scale, clock_s = columns[name], scales.get(name), None
+            if scale is not None:
+                if scale.name not in clocks:
+                    stamps = decode_values(read_dataset(path, scale, scale.name), scale.attrs)
+                    clocks[scale.name] = to_seconds(stamps, unit_attribute(scale.attrs))
+                clock_s = clocks[scale.name]
+            if clock_s is not None and column.dataset == scale:
+                channels[requested] = LogChannel(clock_s, "s", clock_s)
+                continue
+            raw = read_dataset(path, column.dataset, name, column.part)
+            values = decode_values(raw, column.dataset.attrs)
+            channels[requested] = LogChannel(values, column.unit, clock_s)
     return Content(path, channels)
 
 
@@ -224,18 +231,3 @@ def _scales(dataset: Any) -> list[Any]:
         if references is None
         else [dataset.file[reference] for reference in references[int(np.argmax(dataset.shape))]]
     )
-
-
-def _read_clock(path: Path, scale: Any) -> np.ndarray:
-    raw = read_dataset(path, scale, scale.name)
-    return to_seconds(decode_values(raw, scale.attrs), unit_attribute(scale.attrs))
-
-
-def _channel(
-    path: Path, name: str, column: _Column, scale: Dataset, clocks: Mapping[str, np.ndarray]
-) -> LogChannel:
-    clock_s = None if scale is None else clocks[scale.name]
-    if clock_s is not None and column.dataset == scale:
-        return LogChannel(clock_s, "s", clock_s)
-    raw = read_dataset(path, column.dataset, name, column.part)
-    return LogChannel(decode_values(raw, column.dataset.attrs), column.unit, clock_s)

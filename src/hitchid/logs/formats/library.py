@@ -52,13 +52,7 @@ def as_log_errors(path: Path, kind: str) -> Iterator[None]:
 def match_clocked_channels(
     source: Path, names: Sequence[str], selection: ChannelSelection, clocked: Collection[str]
 ) -> dict[str, str]:
-    """Return requested name to full name; the time is optional if all requested channels have clocks.
-
-    Args:
-        source: the file.
-        names: full names of the channels that hold numbers.
-        selection: the requested channels.
-        clocked: full names of the channels with a clock in the file.
+    """Return requested name to full name; the time is optional if all requested channels are `clocked`.
 
     Raises:
         LogError: a channel is missing or ambiguous.

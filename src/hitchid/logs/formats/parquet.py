@@ -44,11 +44,7 @@ def read(path: Path, selection: ChannelSelection) -> Content:
 
 
 def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns of doubles, with a checksum for each page.
-
-    Args:
-        path: the file; an existing file is replaced.
-        columns: each under a name that may end in its unit, all of one length.
+    """Write columns of doubles, each under a name that may end in its unit, with a checksum for each page.
 
     Raises:
         LogError: pyarrow is not installed.

@@ -178,13 +178,10 @@ def read_rows(path: Path) -> TextRows:
     numerals.examine({"": "\n".join(chain.from_iterable(rows))})
     if numerals.sign == ",":
         rows = [
-            [_with_point(cell) if NUMBER.fullmatch(cell.strip()) else cell for cell in row] for row in rows
+            [cell.replace(",", ".") if NUMBER.fullmatch(cell.strip()) else cell for cell in row]
+            for row in rows
         ]
     return TextRows(list(dialect.names), rows, lines)
-
-
-def _with_point(cell: str) -> str:
-    return cell.replace(",", ".")
 
 
 def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:

@@ -24,14 +24,13 @@ def read(path: Path, selection: ChannelSelection) -> Content:
     """
     with as_log_errors(path, KIND):
         reader = version73 if version73.is_hdf5(path) else version5
-        with reader.open_log(path) as log:
-            sources = channels_of(log.tree)
-            matches = match_clocked_channels(
-                path, list(sources), selection, {name for name, c in sources.items() if c.time}
-            )
+        with reader.open_log(path) as (tree, load_variables):
+            sources = channels_of(tree)
+            clocked = {name for name, source in sources.items() if source.time}
+            matches = match_clocked_channels(path, list(sources), selection, clocked)
             selected = {requested: sources[name] for requested, name in matches.items()}
             leaves = [leaf for c in selected.values() for leaf in (c.values, c.time) if leaf]
-            variables = log.load([leaf.variable for leaf in leaves if leaf.variable])
+            variables = load_variables([leaf.variable for leaf in leaves if leaf.variable])
             channels = _channels(path, selected, variables, strict=selection.signals is not None)
     return Content(path, channels)
 

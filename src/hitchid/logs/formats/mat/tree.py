@@ -7,6 +7,8 @@ import numpy as np
 
 from hitchid.logs.formats.library import column_names, column_of, is_matrix, is_vector, unique_names
 
+LoadVariables = Callable[[Sequence[str]], Mapping[str, np.ndarray]]
+
 
 class Leaf(NamedTuple):
     """An array of numbers, loaded on demand.
