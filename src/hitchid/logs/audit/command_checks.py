@@ -139,12 +139,13 @@ def signs(context: CampaignContext) -> list[AuditFinding]:
         travels = _travels(context, direction)
         if not travels:
             continue
-        typical = float(np.median([signed_travel for _, signed_travel in travels]))
-        majority_sign[direction] = sign = 1 if typical >= 0 else -1
+        middle = float(np.median([signed_travel for _, signed_travel in travels]))
+        majority_sign[direction] = sign = 1 if middle >= 0 else -1
+        typical = abs(middle)
         opposed = [
             (test, signed_travel)
             for test, signed_travel in travels
-            if signed_travel * sign < -CLEAR_OF_TYPICAL * abs(typical)
+            if signed_travel * sign < -CLEAR_OF_TYPICAL * typical
         ]
         advice = "check the sign of the displacement and the assignment of the commands in "
         if len(travels) >= 3 and 2 * len(opposed) < len(travels):

@@ -21,30 +21,11 @@ NAMES, UNITS, RASTERS, PATHS, SAMPLES = "trace_names", "trace_units", "raster", 
 TIME = "time_s"  # name given to the time, which has none in the file
 
 
-class Labels(NamedTuple):
-    """Content of the label rows.
-
-    Attributes:
-        names: of the columns, in order; the first column holds the labels.
-        units: name to unit, for columns with a unit.
-        header: line of the names, from 1.
-        first: line of the first sample, from 1.
-    """
-
-    names: tuple[str, ...]
-    units: dict[str, str]
-    header: int
-    first: int
-
-
-def labels_of(rows: Sequence[tuple[int, Sequence[str]]]) -> Labels | None:
-    """Return the content of the label rows, None for a text without them.
+def labelled_dialect(separator: str, rows: Sequence[tuple[int, Sequence[str]]]) -> "Dialect | None":
+    """Return the dialect that the label rows give, None for a text without them.
 
     A name that occurs twice is replaced by the last part of its path. The time is named `time_s`, and
     `time_s/` with the raster if there is a time for each of several rasters.
-
-    Args:
-        rows: line and cells of the first rows of a text.
     """
     labelled = {cells[0]: (line, cells) for line, cells in rows if cells and cells[0]}
     if NAMES not in labelled or SAMPLES not in labelled:
@@ -66,7 +47,7 @@ def labels_of(rows: Sequence[tuple[int, Sequence[str]]]) -> Labels | None:
             names.append(TIME if count[""] == 1 else f"{TIME}/{raster}")
     units = {name: "s" for name in names if name.startswith(TIME)}
     units |= {name: unit for name, unit in zip(names, cells(UNITS), strict=True) if name and unit}
-    return Labels(tuple(names), units, header, first)
+    return Dialect(separator, tuple(names), units, header, first)
 
 
 SEPARATORS = ("\t", ";", "|", ",", " ")
@@ -161,9 +142,9 @@ def dialect_of(text: str, source: Path, requested: Sequence[str] = ()) -> Dialec
     if not counts[separator]:
         separator = max((",", *SEPARATORS), key=lambda candidate: len(rows_by_separator[candidate][0].cells))
     rows = rows_by_separator[separator]
-    labels = labels_of(rows)
-    if labels is not None:
-        return Dialect(separator, *labels)
+    labelled = labelled_dialect(separator, rows)
+    if labelled is not None:
+        return labelled
     first_data_row = _first_sample(rows)
     header_rows = _header_rows(rows[:1] if first_data_row is None else rows[:first_data_row])
     if not header_rows:

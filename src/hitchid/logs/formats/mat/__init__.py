@@ -9,7 +9,7 @@ from hitchid.errors import LogError
 from hitchid.logs.content import ChannelSelection, Content, LogChannel
 from hitchid.logs.formats.library import as_log_errors, floats, match_clocked_channels, to_seconds
 from hitchid.logs.formats.mat import version5, version73
-from hitchid.logs.formats.mat.tree import ChannelSource, Leaf, channels_of
+from hitchid.logs.formats.mat.tree import ChannelSource, channels_of
 
 SUFFIXES = (".mat",)
 KIND = "a MATLAB file"
@@ -46,14 +46,10 @@ def _channels(
             if strict:
                 raise LogError(path, "expected a real numeric vector", column=requested)
             continue  # whether a vector is complex is known only after reading
-        clock_s = None if source.time is None else _clock(source.time, source.time_unit, variables, clocks)
+        clock_s = None
+        if source.time is not None:
+            if id(source.time) not in clocks:
+                clocks[id(source.time)] = to_seconds(floats(source.time.load(variables)), source.time_unit)
+            clock_s = clocks[id(source.time)]
         channels[requested] = LogChannel(floats(values), source.unit, clock_s)
     return channels
-
-
-def _clock(
-    leaf: Leaf, unit: str | None, variables: Mapping[str, np.ndarray], clocks: dict[int, np.ndarray]
-) -> np.ndarray:
-    if id(leaf) not in clocks:
-        clocks[id(leaf)] = to_seconds(floats(leaf.load(variables)), unit)
-    return clocks[id(leaf)]
