@@ -17,16 +17,10 @@ Result = TypeVar("Result")
 
 
 def parallel(work: Callable[[Name], Result], names: Iterable[Name]) -> dict[Name, Result]:
-    """Run a task for each name, in parallel on all cores and in double precision.
+    """Run a task for each name, in parallel on all cores and in double precision; return name to result.
 
-    Threads suffice: JAX compiles and computes without Python's global interpreter lock.
-
-    Args:
-        work: the task; an exception is raised after all tasks have ended.
-        names: argument of each task.
-
-    Returns:
-        Name to result, in the order of the names.
+    Threads suffice: JAX compiles and computes without Python's global interpreter lock. An exception is
+    raised after all tasks have ended.
     """
     with ThreadPoolExecutor(max(2, os.cpu_count() or 1)) as executor:
         # JAX's precision is a setting per thread.

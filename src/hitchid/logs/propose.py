@@ -69,14 +69,9 @@ def stated_unit(name: str, unit: str | None) -> tuple[str | None, str]:
 def unit_of(
     role: str, name: str, unit: str | None, largest: float, zero: float | None = None
 ) -> tuple[str, str]:
-    """Return the unit of a signal and its source: the file, the name, or a guess from the range.
+    """Return the unit of a signal and its source: the file, the name, or a guess from the largest reading.
 
-    Args:
-        role: as in `[signals]`.
-        name: of the column.
-        unit: as spelled in the file.
-        largest: largest absolute reading.
-        zero: neutral reading of a command; for a servo, 1.5 ms in 20 ms are 7.5 percent.
+    The neutral reading of a command for a servo, 1.5 ms in 20 ms, is a `zero` of 7.5 percent.
     """
     stated, source = stated_unit(name, unit)
     if stated is not None and UNITS[stated].dimension in DIMENSIONS[role]:

@@ -237,7 +237,12 @@ def _end_stops(
 
 
 def read_log(path: Path, settings: CampaignFile, process: ReaderProcess) -> list[Record]:
-    """Read one log into a record for each stretch without a gap; `process` reads with third-party libraries.
+    """Read one log into a record for each stretch without a gap.
+
+    Args:
+        path: the log.
+        settings: of its folder.
+        process: reads formats of third-party libraries.
 
     Raises:
         LogError: a column is missing, holds no numbers, or the clock cannot be used.

@@ -160,11 +160,6 @@ def sections(
     times; and up to 1 s or ten sampling times, if no command changes over it by more than a tenth of its
     range and the travel agrees with the speeds before and after within 5 % of its range. Any other gap
     splits the log.
-
-    Args:
-        time_s: increasing time stamps, s, shape [N].
-        commands: role to command, each of shape [N].
-        position: measured displacement, shape [N].
     """
     intervals = np.diff(time_s)
     if intervals.size == 0:

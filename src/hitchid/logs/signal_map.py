@@ -65,12 +65,7 @@ EXPECTED: Mapping[str, str] = MappingProxyType(
 
 
 def describe(error: ValidationError, model: type[BaseModel] | None = None) -> str:
-    """Return the first error of a validation as one sentence that names the key.
-
-    Args:
-        error: of the validation.
-        model: the validated model, whose keys are compared with one that is not known.
-    """
+    """Return the first error of a validation as one sentence that names the key."""
     first = error.errors()[0]
     kind, location = first["type"], first["loc"]
     key = _truncated(".".join(map(str, location)) or "settings")
@@ -250,10 +245,6 @@ def command_columns(directions: Iterable[str], units: Mapping[str, str]) -> dict
     """Return role to the column of a command in logs that this package writes.
 
     The default column where it has the unit, otherwise the role and the unit: `lifting_command_percent`.
-
-    Args:
-        directions: directions that have a command.
-        units: role to unit.
     """
     columns = {}
     for role in (COMMAND[direction] for direction in directions):

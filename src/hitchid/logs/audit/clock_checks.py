@@ -230,14 +230,9 @@ def _fit(context: RecordContext, directions: tuple[str, ...], role: str) -> tupl
 
 
 def lag_of(command: np.ndarray, current: np.ndarray, *, step_s: float) -> tuple[float, float] | None:
-    """Return the lag of a current behind a command.
+    """Return the lag of a current behind a command, s, negative where it leads, and the correlation at it.
 
-    Args:
-        command, current: shape [N].
-        step_s: sampling time, s.
-
-    Returns:
-        The lag, s, negative where the current leads, and the correlation at it; None without a sharp peak.
+    None without a sharp peak.
     """
     max_lag = round(min(LONGEST_LAG_S / step_s, MAX_LAGS, command.size // 4))
     if max_lag < 2:

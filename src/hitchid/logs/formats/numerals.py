@@ -106,9 +106,6 @@ class Stamps:
         A time without a date that falls by more than half a day continues on the next day; minutes and
         seconds alone by more than half an hour, in the next hour.
 
-        Args:
-            stamps: all blocks of `parse`, shape [2, N].
-
         Raises:
             ValueError: the dates are not those of a calendar.
         """

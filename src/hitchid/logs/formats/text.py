@@ -215,8 +215,8 @@ def _column_index(path: Path, dialect: Dialect, name: str) -> int:
         candidates = ", ".join(dialect.names[index] for index in indices)
         raise LogError(path, f"the name is ambiguous: {candidates}", line=dialect.header, column=name)
     if not indices:
-        known = [known for known in dialect.names if known]
-        raise no_such_channel(path, name, known, kind="column", line=dialect.header)
+        names = [other for other in dialect.names if other]
+        raise no_such_channel(path, name, names, kind="column", line=dialect.header)
     return indices[0]
 
 

@@ -38,9 +38,6 @@ def channels_of(tree: Mapping[str, object]) -> dict[str, ChannelSource]:
 
     Fields of structs are named `log/stroke`; signals of a ControlDesk export by their own name, those of a
     Simulink structure with time `out/label`; columns `data(:,2)`, where samples are along the longer side.
-
-    Args:
-        tree: variable to node: a leaf, a text, a dictionary of fields or a list of such.
     """
     exports = sum(_is_control_desk(node) for node in tree.values())
     pairs: list[tuple[str, ChannelSource]] = []
