@@ -80,7 +80,7 @@ MUTATIONS = (
     ),
     Mutation("logs/content.py", "MAX_UNPACK_RATIO * path.stat()", "1e9 * path.stat()", "test_fuzz.py"),
     Mutation(
-        "logs/audit/spikes.py",
+        "logs/audit/resolution.py",
         "JUMP_FACTOR * neighbour_steps.max(axis=1)",
         "neighbour_steps.min(axis=1)",
         "logs/audit/test_audit_sensor.py",

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from hitchid.errors import LogError
 from hitchid.logs import ReaderProcess, read_log
-from hitchid.logs.clocks import resample_to_common_clock
 from hitchid.logs.content import Content, LogChannel
-from hitchid.logs.log_table import table_of
+from hitchid.logs.log_table import resample_to_common_clock, table_of
 from hitchid.logs.signal_map import CampaignFile, Column, SignalMap
 
 EPS = np.finfo(np.float64).eps

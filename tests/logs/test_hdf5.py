@@ -8,8 +8,8 @@ from scipy.io import netcdf_file
 
 from hitchid.errors import LogError
 from hitchid.logs.content import ChannelSelection
-from hitchid.logs.formats.clock_units import decode_values
 from hitchid.logs.formats.hdf5 import read
+from hitchid.logs.formats.library import decode_values
 
 ALL = ChannelSelection("time_s", None)
 TIME = np.arange(50) * 20.0

@@ -29,12 +29,12 @@ class Patched:
         import os, time
         import numpy as np
         from hitchid.errors import LogError
-        from hitchid.logs import child, formats, process
+        from hitchid.logs import formats, reader_process
         from hitchid.logs.content import LogChannel, Content
 
         def read(path, wanted):
             here = {"np": np, "os": os, "sys": sys, "time": time, "path": path, "wanted": wanted}
-            here |= {"LogChannel": LogChannel, "LogError": LogError, "child": child}
+            here |= {"LogChannel": LogChannel, "LogError": LogError}
             here |= {"channels": {}, "notices": ()}
             exec(path.read_text(), here)
             return Content(path, here["channels"], here["notices"])
@@ -213,7 +213,7 @@ def test_an_interrupt_while_waiting_ends_the_child(reader, read, monkeypatch):
 
 def test_a_child_whose_parent_was_killed_ends():
     program = (
-        "import sys; from hitchid.logs import process; child = process._start_child()\n"
+        "import sys; from hitchid.logs import reader_process; child = reader_process._start_child()\n"
         "print(child.pid, flush=True); sys.stdin.read()"
     )
     command = [sys.executable, "-c", program]

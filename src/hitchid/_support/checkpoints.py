@@ -86,11 +86,16 @@ class Checkpoints:
         """
         if self.folder is None:
             return work()
-        path = self.folder / _file_name(*self.parents, name)
+        names = (*self.parents, name)
+        # A legible file name, unique by a digest of the names.
+        legible = re.sub(r"[^a-z0-9]+", "-", "-".join(names).lower())[:MAX_READABLE]
+        path = self.folder / f"{legible}-{digest(repr(names).encode())[:HASH_LENGTH]}{SUFFIX}"
         arrays = _read(path)
         if arrays is None or (shapes is not None and not _has_shapes(arrays, shapes)):
             arrays = dict(work())
-            write_bytes(path, _with_digest(arrays), force=True)
+            content = io.BytesIO()
+            np.savez(content, allow_pickle=False, **arrays)
+            write_bytes(path, digest(content.getvalue()).encode() + content.getvalue(), force=True)
         return arrays
 
     def cached(
@@ -166,12 +171,6 @@ def remove_run(folder: Path) -> None:
     folder.rmdir()
 
 
-def _file_name(*names: str) -> str:
-    """Return a legible file name, unique by a digest of the names."""
-    legible = re.sub(r"[^a-z0-9]+", "-", "-".join(names).lower())[:MAX_READABLE]
-    return f"{legible}-{digest(repr(names).encode())[:HASH_LENGTH]}{SUFFIX}"
-
-
 def _has_shapes(arrays: Arrays, shapes: Shapes) -> bool:
     """Return whether arrays have the names and the shapes, and those of a known size finite numbers."""
     if arrays.keys() != shapes.keys():
@@ -195,13 +194,6 @@ def _has_shapes(arrays: Arrays, shapes: Shapes) -> bool:
         if is_known and not np.all(np.isfinite(array)):
             return False
     return True
-
-
-def _with_digest(arrays: Arrays) -> bytes:
-    """Return arrays as bytes, preceded by their digest."""
-    content = io.BytesIO()
-    np.savez(content, allow_pickle=False, **arrays)
-    return digest(content.getvalue()).encode() + content.getvalue()
 
 
 def _read(path: Path) -> dict[str, np.ndarray] | None:

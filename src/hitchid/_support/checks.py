@@ -20,13 +20,7 @@ MAX_SHOWN = 60  # characters of a value in a message (chosen)
 
 
 def instance(value: object, kind: type[Kind] | tuple[type[Kind], ...], name: str, required: str) -> Kind:
-    """Return a value of a given type.
-
-    Args:
-        value: the argument.
-        kind: the admissible type, or several.
-        name: of the argument.
-        required: the requirement, for the message.
+    """Return a value of a given type, or of one of several; `required` says which in the message.
 
     Raises:
         InputError: the value is of another type.

@@ -18,12 +18,6 @@ def with_extensions(
     Another package registers an extension by an entry point, for instance
     `[project.entry-points."hitchid.structures"]` in its `pyproject.toml`, whose value is the object.
 
-    Args:
-        group: name of the group of entry points.
-        built_in: the extensions of this package.
-        kind: the type of every extension.
-        name: returns the name of an extension.
-
     Raises:
         InputError: an extension cannot be imported, is of another type, or its name is taken.
     """

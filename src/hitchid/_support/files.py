@@ -7,7 +7,7 @@ import select
 import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from pathlib import Path
 
@@ -33,9 +33,11 @@ def lines(stream: Iterable[str], quiet_s: float, when_quiet: Callable[[], object
         quiet_s: time, s; never where it is not positive.
         when_quiet: what to do.
     """
+    file = None
     if isinstance(stream, TextIOWrapper):
         stream.reconfigure(encoding="utf-8", errors="replace")
-    file = _descriptor(stream)
+        with suppress(OSError):  # a stream by which the system cannot wait
+            file = stream.fileno() if os.name == "posix" else None
     if file is None:
         yield from (line.rstrip("\n") for line in stream)
         return
@@ -64,16 +66,6 @@ def _extend(line: bytearray, more: bytes) -> None:
 def _text(line: bytearray) -> str:
     text = line[:MAX_LINE_BYTES].decode(errors="replace")
     return text if len(line) <= MAX_LINE_BYTES else f"{text}{CUT}"
-
-
-def _descriptor(stream: Iterable[str]) -> int | None:
-    """Return the number by which the system can wait for a stream; None where it cannot."""
-    if os.name != "posix" or not isinstance(stream, TextIOWrapper):
-        return None
-    try:
-        return stream.fileno()
-    except OSError:
-        return None
 
 
 MANIFEST_FILE = ".hitchid.json"  # kind of the result, and SHA-256 of its files
@@ -293,7 +285,9 @@ def check_inputs(out: Path, inputs: Iterable[Path | None]) -> None:
         if input_path is None or not input_path.exists():
             continue
         real_path = Path(os.path.realpath(input_path))
-        for source in (real_path, *_link_targets(real_path)):
+        links = [file for file in real_path.iterdir() if file.is_symlink()] if real_path.is_dir() else []
+        targets = [Path(os.path.realpath(link)) for link in links if link.exists()]
+        for source in (real_path, *targets):
             if any(os.path.samefile(out, ancestor) for ancestor in (source, *source.parents)):
                 raise OutputError(f"{out}: contains the input {input_path}; choose another folder")
         if (
@@ -304,20 +298,8 @@ def check_inputs(out: Path, inputs: Iterable[Path | None]) -> None:
             raise OutputError(f"{out}: is inside the input {input_path}; choose another folder")
 
 
-def _link_targets(path: Path) -> list[Path]:
-    """Return the existing targets of the links in a folder; none for a file."""
-    if not path.is_dir():
-        return []
-    links = [child for child in path.iterdir() if child.is_symlink() and child.exists()]
-    return [Path(os.path.realpath(link)) for link in links]
-
-
 def _check_path(path: Path, written: Path) -> None:
-    """Check that a path may be written, before the work is done whose result it is to have.
-
-    Args:
-        path: as given.
-        written: the same, or the target of a link.
+    """Check that a path, a link's target, may be written, before the work is done whose result it is to have.
 
     Raises:
         OutputError: the file name is invalid, the path is below a file, or its folder cannot be written.
@@ -326,9 +308,8 @@ def _check_path(path: Path, written: Path) -> None:
         ancestor = next(parent for parent in written.absolute().parents if parent.exists())
         path.exists()
         if ancestor.is_dir():
-            with tempfile.TemporaryFile(
-                dir=ancestor
-            ):  # permissions alone do not tell: of root, of a full disk
+            # Permissions alone do not tell: of root, of a full disk.
+            with tempfile.TemporaryFile(dir=ancestor):
                 return
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
@@ -346,7 +327,7 @@ def check_file(path: Path, *, force: bool) -> None:
         raise OutputError(f"{path}: exists already; use a new file, or --force to replace one")
 
 
-def write_file(path: Path, write: Callable[[Path], None], *, force: bool) -> None:
+def write_file(path: Path, write: Callable[[Path], object], *, force: bool) -> None:
     """Write a file atomically: into a temporary folder, then rename it.
 
     Args:
@@ -372,8 +353,4 @@ def write_file(path: Path, write: Callable[[Path], None], *, force: bool) -> Non
 
 def write_bytes(path: Path, content: bytes, *, force: bool) -> None:
     """Write bytes to a file atomically; see `write_file`."""
-
-    def write(temporary_file: Path) -> None:
-        temporary_file.write_bytes(content)
-
-    write_file(path, write, force=force)
+    write_file(path, lambda temporary_file: temporary_file.write_bytes(content), force=force)

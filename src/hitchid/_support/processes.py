@@ -6,9 +6,7 @@ import threading
 from multiprocessing.connection import Connection
 
 MOST_BLOCKS = 200  # messages that wait before blocks of samples are dropped: eight seconds of them; chosen
-MOST_WAITING = (
-    2000  # messages that wait before any are dropped: a process that has not read for minutes; chosen
-)
+MOST_WAITING = 2000  # messages before any are dropped: a process that has not read for minutes; chosen
 
 
 class Outbox:

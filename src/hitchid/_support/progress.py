@@ -17,16 +17,10 @@ Result = TypeVar("Result")
 
 
 def parallel(work: Callable[[Name], Result], names: Iterable[Name]) -> dict[Name, Result]:
-    """Run a task for each name, in parallel on all cores and in double precision.
+    """Run a task for each name, in parallel on all cores and in double precision; return name to result.
 
-    Threads suffice: JAX compiles and computes without Python's global interpreter lock.
-
-    Args:
-        work: the task; an exception is raised after all tasks have ended.
-        names: argument of each task.
-
-    Returns:
-        Name to result, in the order of the names.
+    Threads suffice: JAX compiles and computes without Python's global interpreter lock. An exception is
+    raised after all tasks have ended.
     """
     with ThreadPoolExecutor(max(2, os.cpu_count() or 1)) as executor:
         # JAX's precision is a setting per thread.
@@ -96,13 +90,7 @@ def silent(_: ProgressUpdate) -> None:
 def subtask_progress(
     progress: ProgressCallback, start: float, width: float, name: str = ""
 ) -> ProgressCallback:
-    """Return a callback that maps the progress of a subtask to the progress of the whole.
-
-    Args:
-        progress: of the whole.
-        start, width: start of the subtask and its share of the whole, fractions.
-        name: prefix of each stage.
-    """
+    """Return a callback that maps a subtask's progress to the whole: from `start` on, a share of `width`."""
 
     def report(step: ProgressUpdate) -> None:
         stage = f"{name}: {step.stage}" if name else step.stage
@@ -112,12 +100,7 @@ def subtask_progress(
 
 
 def split_progress(progress: ProgressCallback, shares: Mapping[str, float]) -> dict[str, ProgressCallback]:
-    """Return a callback for each of several consecutive parts of a task, by name.
-
-    Args:
-        progress: of the task.
-        shares: name of each part, in their order, to its work relative to the others.
-    """
+    """Return a callback for each of several consecutive parts of a task, by name; `shares` is their work."""
     total, start, parts = sum(shares.values()), 0.0, {}
     for name, share in shares.items():
         parts[name] = subtask_progress(progress, start / total, share / total)
@@ -126,12 +109,7 @@ def split_progress(progress: ProgressCallback, shares: Mapping[str, float]) -> d
 
 
 def parallel_progress(progress: ProgressCallback, names: Sequence[str]) -> dict[str, ProgressCallback]:
-    """Return a thread-safe callback for each of several parallel tasks, by name.
-
-    Args:
-        progress: of the whole.
-        names: of the tasks, prefixed to each stage; the fraction of a task never falls.
-    """
+    """Return a thread-safe callback for each of several parallel tasks; no task's fraction ever falls."""
     fractions, lock = dict.fromkeys(names, 0.0), Lock()
 
     def reporter(name: str) -> ProgressCallback:
@@ -150,11 +128,6 @@ def iteration_progress(progress: ProgressCallback, stage: str, name: str) -> Ite
     """Return a callback that reports the iterations of a search.
 
     The number of iterations until convergence is unknown, so the fraction approaches 1 asymptotically.
-
-    Args:
-        progress: of the search.
-        stage: name of the search.
-        name: of the minimised error.
     """
 
     def report(number: int, error: float) -> None:

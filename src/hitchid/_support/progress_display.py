@@ -133,13 +133,9 @@ class Curves:
         """Return the iteration of each task and a line for each figure, in 80 columns."""
         lines = []
         for step, values in self._tasks.values():
-            series_lines = [
-                f"{name[:NAME]:{NAME}} {series[-1]:<9.4g} {sparkline(series)}"
-                for name, series in values.items()
-            ]
-            lines += (
-                [" ".join(filter(None, (step.task, step.iteration))), *series_lines] if series_lines else []
-            )
+            lines += [" ".join(filter(None, (step.task, step.iteration)))] if values else []
+            for name, series in values.items():
+                lines.append(f"{name[:NAME]:{NAME}} {series[-1]:<9.4g} {sparkline(series)}")
         return Text("\n".join(lines), no_wrap=True)
 
 
@@ -189,15 +185,12 @@ class _Lines:
             sys.stderr.write(line(step.message))
         elif last is None or step.stage != last.stage:
             self.end(*filter(None, [step.task]))
-            sys.stderr.write(line(f"{step.fraction:4.0%}  {step.stage}{self._time_left(step.fraction)}"))
+            elapsed_s, done, left = time.monotonic() - self._begin_s, step.fraction, ""
+            if elapsed_s >= KNOWN_S and KNOWN_FRACTION < done < 1:
+                left = f", about {max(elapsed_s * (1 - done) / done, 1):.0f} s left"
+            sys.stderr.write(line(f"{done:4.0%}  {step.stage}{left}"))
         sys.stderr.flush()
         self._last[step.task] = step
-
-    def _time_left(self, fraction: float) -> str:
-        elapsed_s = time.monotonic() - self._begin_s
-        if elapsed_s < KNOWN_S or not KNOWN_FRACTION < fraction < 1:
-            return ""
-        return f", about {max(elapsed_s * (1 - fraction) / fraction, 1):.0f} s left"
 
     def end(self, *tasks: str) -> None:
         """Write the last figures of the given tasks, by default of all."""

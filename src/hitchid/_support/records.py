@@ -133,9 +133,9 @@ class Value:
 
         def __getattr__(self, name: str) -> object:
             """Raise AttributeError, which names the public attributes."""
-            known = [known for known in dir(type(self)) if not known.startswith("_")]
-            known += [field.name for field in fields(self) if field.name not in known]
-            listed = f"; expected one of {', '.join(sorted(known))}" if not name.startswith("_") else ""
+            public = {attribute for attribute in dir(type(self)) if not attribute.startswith("_")}
+            public |= {field.name for field in fields(self)}
+            listed = f"; expected one of {', '.join(sorted(public))}" if not name.startswith("_") else ""
             raise AttributeError(f"'{type(self).__name__}' has no attribute '{name}'{listed}")
 
     def __eq__(self, other: object) -> bool:

@@ -100,11 +100,8 @@ def screen(lines: Sequence[str], last: Sequence[str] = ()) -> str:
     room = MAX_LINES - len(last)
     if len(lines) > room:
         lines = [*lines[: room - 1], f"{GAP}… {len(lines) - room + 1} more lines"]
-    return "\n".join(_cut(printable(line)) for line in [*lines, *last])
-
-
-def _cut(line: str) -> str:
-    return line if len(line) <= MAX_WIDTH else f"{line[: MAX_WIDTH - 1]}…"
+    texts = [printable(line) for line in [*lines, *last]]
+    return "\n".join(text if len(text) <= MAX_WIDTH else f"{text[: MAX_WIDTH - 1]}…" for text in texts)
 
 
 def shortened(text: str, width: int = MAX_WIDTH) -> str:
@@ -170,13 +167,9 @@ def sparkline(curves: Sequence[np.ndarray], label: str, scales: Sequence[np.ndar
         _polyline(curve, scale, opacity)
         for curve, scale, opacity in zip(curves, scales or curves, OPACITIES, strict=False)
     ]
-    return _picture("".join(reversed(lines)), label)
-
-
-def _picture(lines: str, label: str) -> str:
     return (
         f'<svg role="img" aria-label="{html_text(label)}" width="{WIDTH}" height="{HEIGHT}" '
-        f'viewBox="0 0 {WIDTH} {HEIGHT}" fill="none" stroke="currentColor">{lines}</svg>'
+        f'viewBox="0 0 {WIDTH} {HEIGHT}" fill="none" stroke="currentColor">{"".join(reversed(lines))}</svg>'
     )
 
 

@@ -133,14 +133,14 @@ class Campaign(Value, Summarised):
         Raises:
             InputError: an argument or no table can be used, or as `of`.
         """
-        from hitchid.logs.dataframes import campaign_from_dataframes
+        from hitchid.logs.dataframes import read_frames
 
-        return campaign_from_dataframes(
-            frames,
-            signals=signals,
-            units=units,
+        records, left_out = read_frames(frames, signals, units, strict=strict)
+        return cls.of(
+            records,
             test_patterns=test_patterns,
             kinds=kinds,
+            left_out=left_out,
             strict=strict,
             end_stops=end_stops,
         )

@@ -75,7 +75,13 @@ def match_channels(
             matches[requested] = candidates[0]
         elif is_required:
             raise no_such_channel(source, requested, names)
-    _check_one_group(source, matches, selection.time)
+    # The time of one group says nothing about channels of another, unless its full name is requested.
+    time = matches.get(selection.time, "")
+    group = time.rpartition("/")[0]
+    for name in matches.values() if group and time != selection.time else ():
+        if not name.startswith(f"{group}/"):
+            problem = f"is in another group than '{name}'; use its full name, '{time}'"
+            raise LogError(source, problem, column=selection.time)
     return matches
 
 
@@ -88,17 +94,6 @@ def no_such_channel(
         f"proposes; found {format_names(names)}"
     )
     return LogError(source, problem, line=line, column=requested)
-
-
-def _check_one_group(source: Path, matches: Mapping[str, str], time: str) -> None:
-    """Refuse the time of one group for channels of another, unless it is requested by its full name."""
-    group = matches.get(time, "").rpartition("/")[0]
-    if not group or matches[time] == time:
-        return
-    for name in matches.values():
-        if not name.startswith(f"{group}/"):
-            problem = f"is in another group than '{name}'; use its full name, '{matches[time]}'"
-            raise LogError(source, problem, column=time)
 
 
 def format_names(names: Sequence[str]) -> str:
@@ -123,10 +118,6 @@ class LogChannel(NamedTuple):
     clock_s: np.ndarray | None = None
 
 
-def _no_lines(_: int) -> int | None:
-    return None
-
-
 @short_repr
 @dataclass(frozen=True)
 class Content:
@@ -142,7 +133,7 @@ class Content:
     source: Path | str
     channels: Mapping[str, LogChannel]
     notices: tuple[str, ...] = ()
-    line_of: Callable[[int], int | None] = _no_lines
+    line_of: Callable[[int], int | None] = lambda _: None
 
     @property
     def map_place(self) -> str:

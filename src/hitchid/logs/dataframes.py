@@ -1,6 +1,6 @@
 """From tables of pandas or polars to records, and from records to tables of pandas."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
@@ -9,13 +9,12 @@ import numpy as np
 
 from hitchid._support import checks
 from hitchid.errors import InputError, LogError
-from hitchid.logs.campaign import Campaign
 from hitchid.logs.content import Content, LogChannel
 from hitchid.logs.kinds import detect_kind, full_scales
 from hitchid.logs.log_table import records_of, table_of
 from hitchid.logs.record import COMMAND, DISPLACEMENT, KINDS, LIFTING, LOWERING, Record
 from hitchid.logs.signal_map import DEFAULT_SIGNALS, Column, SignalMap, signal_map_of
-from hitchid.logs.unification import refuse, split_usable
+from hitchid.logs.unification import LeftOut, refuse, split_usable
 from hitchid.logs.units import UNITS, parse_unit, unit_of_column
 
 if TYPE_CHECKING:
@@ -61,39 +60,29 @@ def record_from_dataframe(
             "use Campaign.from_dataframes, which makes a record of each"
         )
     (record,) = records
-    found = detect_kind(record, full_scales(records)) if kind is None else checks.one_of(kind, KINDS, "kind")
-    return replace(record, kind=found)
+    if kind is None:
+        return replace(record, kind=detect_kind(record, full_scales(records)))
+    return replace(record, kind=checks.one_of(kind, KINDS, "kind"))
 
 
-def campaign_from_dataframes(
+def read_frames(
     frames: Mapping[str, object] | Iterable[object],
-    *,
     signals: Mapping[str, object] | None,
     units: Mapping[str, str] | None,
-    test_patterns: Sequence[str] | None,
-    kinds: Mapping[str, str] | None,
+    *,
     strict: bool,
-    end_stops: Sequence[float] | None,
-) -> Campaign:
-    """Return the campaign of tables; see `Campaign.from_dataframes`."""
-    named = _named(frames)
-    known_units = _checked_units(units)
+) -> tuple[list[Record], list[LeftOut]]:
+    """Return the records of tables, and the tables that cannot be used; see `Campaign.from_dataframes`."""
+    named, checked_units = _named(frames), _checked_units(units)
     records_by_frame, left_out = split_usable(
         ((name, (name, frame)) for name, frame in named.items()),
-        lambda item: _read_frame(*item, signals, known_units),
+        lambda item: _read_frame(*item, signals, checked_units),
         strict=strict,
     )
     records = [record for records in records_by_frame for record in records]
     if left_out and not records:
         refuse(left_out, "tables")
-    return Campaign.of(
-        records,
-        test_patterns=test_patterns,
-        kinds=kinds,
-        left_out=left_out,
-        strict=strict,
-        end_stops=end_stops,
-    )
+    return records, left_out
 
 
 def to_dataframe(record: Record) -> "pandas.DataFrame":
@@ -107,14 +96,13 @@ def to_dataframe(record: Record) -> "pandas.DataFrame":
         *(role for role in roles if role in record.signals),
         *(r for r in record.signals if r not in roles),
     ]
-    columns = {_column_of(role, record.units[role]): record.signals[role] for role in ordered}
-    return pandas.DataFrame({DEFAULT_SIGNALS.time.column: record.time_s, **columns})
-
-
-def _column_of(role: str, unit: str) -> str:
-    """Return the name of a signal with its unit, where that can be read from the end of a name."""
-    name = f"{role}_{unit}"
-    return name if unit_of_column(name) == unit and unit_of_column(role) != unit else role
+    columns = {DEFAULT_SIGNALS.time.column: record.time_s}
+    for role in ordered:
+        # The name has the unit only where it can be read from its end.
+        unit, name = record.units[role], f"{role}_{record.units[role]}"
+        is_read = unit_of_column(name) == unit and unit_of_column(role) != unit
+        columns[name if is_read else role] = record.signals[role]
+    return pandas.DataFrame(columns)
 
 
 def _named(frames: object) -> dict[str, Frame]:
@@ -156,27 +144,27 @@ def _read_frame(
 
 def _map_by_name(name: str, columns: Iterable[str]) -> SignalMap:
     """Return the signal map of columns that are named after their signal and unit."""
-    found: dict[str, str] = {}
+    column_of: dict[str, str] = {}
     for column in columns:
         unit = unit_of_column(column)
         signal = STEMS.get(column if unit is None else column.rpartition("_")[0])
-        if signal in found:
+        if signal in column_of:
             raise LogError(
                 name,
                 (
-                    f"the columns '{found[signal]}' and '{column}' both match {signal}; expected "
+                    f"the columns '{column_of[signal]}' and '{column}' both match {signal}; expected "
                     "`signals` to name one of them"
                 ),
             )
         if signal is not None:
-            found[signal] = column
-    if not found.keys() & {"command", *COMMAND.values()}:
+            column_of[signal] = column
+    if not column_of.keys() & {"command", *COMMAND.values()}:
         problem = (
             "no column is named as a command; expected current_up_A and current_down_A, or `signals`, "
             f"a dict as [signals] in campaign.toml; found {', '.join(columns) or 'no columns'}"
         )
         raise LogError(name, problem)
-    return signal_map_of(found)
+    return signal_map_of(column_of)
 
 
 def _content(
@@ -188,8 +176,7 @@ def _content(
             problem = f"`units` names it, but there is no such column; found {', '.join(columns)}"
             raise LogError(name, problem, column=column)
     channels = {signals.time.column: _time(name, frame, columns, signals.time, units)}
-    mapped = (signals.displacement, signals.command, signals.lifting_command, signals.lowering_command)
-    for column in [column.column for column in (*mapped, *signals.covariates) if column is not None]:
+    for column in signals.measured:
         if column not in columns:
             problem = (
                 "there is no such column; expected this column in the table, or another name "

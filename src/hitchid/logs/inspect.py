@@ -1,6 +1,6 @@
 """Inspection of logs before an identification: kind, sampling, signals and faults of each log."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -167,7 +167,14 @@ def inspect(
     paths = find_logs(logs)
     settings = settings_of(paths, signals)
     records, unread = read_logs(paths, settings)
-    faults = _faults(unread)
+    # One sentence for each reason: a missing column is missing in every log of a campaign.
+    by_reason: dict[str, list[LeftOut]] = {}
+    for item in unread:
+        by_reason.setdefault(item.reason, []).append(item)
+    faults = tuple(
+        f"{first.error}; the same in {count(len(others), 'more log')}" if others else f"{first.error}"
+        for first, *others in by_reason.values()
+    )
     if not records:
         return Inspection(faults=faults)
     try:
@@ -177,18 +184,6 @@ def inspect(
         return Inspection(entries, faults=(*faults, str(error)))
     inspection = inspect_campaign(campaign, command_thresholds)
     return replace(inspection, faults=faults, left_out=()) if strict else inspection
-
-
-def _faults(unread: Sequence[LeftOut]) -> tuple[str, ...]:
-    """Return one sentence for each reason: a missing column is missing in every log of a campaign."""
-    by_reason: dict[str, list[LeftOut]] = {}
-    for item in unread:
-        by_reason.setdefault(item.reason, []).append(item)
-    others = {reason: count(len(items) - 1, "more log") for reason, items in by_reason.items() if items[1:]}
-    return tuple(
-        f"{items[0].error}" + (f"; the same in {others[reason]}" if reason in others else "")
-        for reason, items in by_reason.items()
-    )
 
 
 def inspect_campaign(campaign: Campaign, command_thresholds: ThresholdLookup | None = None) -> Inspection:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -70,15 +71,13 @@ def detect_kind(record: Record, scales: Mapping[str, float]) -> str:
     if len(active) == 2:
         return CYCLE
     (direction,) = active
-    return RAMP if _is_ramp(record.command(direction), record.step_s, thresholds[direction]) else direction
-
-
-def _is_ramp(command: np.ndarray, step_s: float, threshold: float) -> bool:
-    onset = int(np.flatnonzero(command > threshold)[0]) if np.any(command > threshold) else command.size
+    command, is_active = record.command(direction), record.command(direction) > thresholds[direction]
+    onset = int(np.flatnonzero(is_active)[0]) if np.any(is_active) else command.size
     rise = command[onset : int(np.argmax(command)) + 1]
-    if rise.size * step_s < RAMP_SHORTEST_S or rise[0] > 0.25 * rise[-1]:
-        return False
-    return float(np.corrcoef(np.arange(rise.size), rise)[0, 1]) > RAMP_CORRELATION
+    if rise.size * record.step_s < RAMP_SHORTEST_S or rise[0] > 0.25 * rise[-1]:
+        return direction
+    correlation = float(np.corrcoef(np.arange(rise.size), rise)[0, 1])
+    return RAMP if correlation > RAMP_CORRELATION else direction
 
 
 def ramp_direction(record: Record) -> str:
@@ -111,12 +110,12 @@ def split_by_direction(record: Record, dead_zones: Mapping[str, float]) -> list[
     active_samples = np.flatnonzero(signs)
     if active_samples.size == 0:
         return [Stroke(record.directions[0], 0, len(record))]
-    turns = active_samples[1:][signs[active_samples[1:]] != signs[active_samples[:-1]]]
-    edges = [0, *(int(turn) for turn in turns), len(record)]
-    firsts = [int(active_samples[0]), *(int(turn) for turn in turns)]
+    turns = active_samples[1:][signs[active_samples[1:]] != signs[active_samples[:-1]]].tolist()
     return [
         Stroke(LIFTING if signs[first] > 0 else LOWERING, start, stop)
-        for first, start, stop in zip(firsts, edges[:-1], edges[1:], strict=True)
+        for first, start, stop in zip(
+            [active_samples[0], *turns], [0, *turns], [*turns, len(record)], strict=True
+        )
     ]
 
 
@@ -211,37 +210,39 @@ def segments(
     label = np.full(len(record), LABELS.index(HOLD))
     for direction, active_samples in active.items():
         label[active_samples] = LABELS.index(direction)
-    travel = _local_travel(record)
+    displacement = record.displacement
+    half = max(1, round(0.5 * WINDOW_S / record.step_s))
+    samples = np.arange(len(record))
+    start, stop = np.maximum(samples - half, 0), np.minimum(samples + half, len(record) - 1)
+    travel = np.abs(displacement[stop] - displacement[start]) * 2 * half / np.maximum(stop - start, 1)
+    lowest, highest = displacement.min(), displacement.max()
+    margin = AT_END_FRACTION * float(np.ptp(displacement))
     for direction in active:
         selected = label == LABELS.index(direction)
         if not selected.any():
             continue
         slow = selected & (travel < STATIONARY_FRACTION * np.median(travel[selected]))
         stationary = _sustained(slow, max(1, round(WINDOW_S / record.step_s)))
-        at_end = _at_end(record, upwards=_upwards(record, selected))
-        label[selected & _clipped(record, direction, scale_of[direction])] = LABELS.index(SATURATED)
+        is_upwards = float(np.diff(displacement, append=displacement[-1])[selected].sum()) >= 0
+        at_end = displacement >= highest - margin if is_upwards else displacement <= lowest + margin
+        command = np.abs(record.command(direction))
+        if np.unique(command).size >= MIN_COMMAND_VALUES:
+            clipped = _sustained(command >= scale_of[direction] * (1 - 1e-9), CLIPPED_SAMPLES)
+            label[selected & clipped] = LABELS.index(SATURATED)
         label[stationary & ~at_end] = LABELS.index(HOLD)
         label[stationary & at_end] = LABELS.index(END_STOP)
     if len(active) == 2:
         label[active[LIFTING] & active[LOWERING]] = LABELS.index(BOTH_VALVES_ACTIVE)
-    edges = np.flatnonzero(np.diff(label)) + 1
-    starts = [0, *edges.tolist()]
-    return [
-        Segment(LABELS[label[start]], start, stop)
-        for start, stop in zip(starts, [*edges.tolist(), len(record)], strict=True)
-    ]
+    edges = [0, *(np.flatnonzero(np.diff(label)) + 1).tolist(), len(record)]
+    return [Segment(LABELS[label[start]], start, stop) for start, stop in pairwise(edges)]
 
 
-def durations_s(found_segments: Sequence[Segment], step_s: float) -> dict[str, float]:
+def durations_s(parts: Sequence[Segment], step_s: float) -> dict[str, float]:
     """Return label to its total duration, s, for the labels that occur."""
     return {
-        label: round(
-            sum(segment.stop - segment.start for segment in found_segments if segment.label == label)
-            * step_s,
-            6,
-        )
+        label: round(sum(part.stop - part.start for part in parts if part.label == label) * step_s, 6)
         for label in LABELS
-        if any(segment.label == label for segment in found_segments)
+        if any(part.label == label for part in parts)
     }
 
 
@@ -259,37 +260,6 @@ def _active_samples(
     active = (last >= 0) & (command[np.maximum(last, 0)] > on)
     delay_samples = min(round(threshold.dead_time_s / record.step_s), active.size)
     return np.concatenate([np.zeros(delay_samples, dtype=bool), active[: active.size - delay_samples]])
-
-
-def _local_travel(record: Record) -> np.ndarray:
-    """Return the travel over 0.3 s around each sample, shape [N]."""
-    half = max(1, round(0.5 * WINDOW_S / record.step_s))
-    samples = np.arange(len(record))
-    window_start, window_stop = np.maximum(samples - half, 0), np.minimum(samples + half, len(record) - 1)
-    travel = np.abs(record.displacement[window_stop] - record.displacement[window_start])
-    return travel * 2 * half / np.maximum(window_stop - window_start, 1)
-
-
-def _upwards(record: Record, selected: np.ndarray) -> bool:
-    steps = np.diff(record.displacement, append=record.displacement[-1])
-    return float(steps[selected].sum()) >= 0
-
-
-def _at_end(record: Record, *, upwards: bool) -> np.ndarray:
-    """Return which samples lie within 2 % of the end of the record's travel, shape [N]."""
-    margin = AT_END_FRACTION * float(np.ptp(record.displacement))
-    if upwards:
-        return record.displacement >= record.displacement.max() - margin
-    return record.displacement <= record.displacement.min() + margin
-
-
-def _clipped(record: Record, direction: str, full_scale: float) -> np.ndarray:
-    """Return where a command with many values is at the largest of all logs, shape [N]."""
-    command = np.abs(record.command(direction))
-    at_maximum = command >= full_scale * (1 - 1e-9)
-    if np.unique(command).size < MIN_COMMAND_VALUES:
-        return np.zeros(command.size, dtype=bool)
-    return _sustained(at_maximum, CLIPPED_SAMPLES)
 
 
 def _sustained(condition: np.ndarray, samples: int) -> np.ndarray:

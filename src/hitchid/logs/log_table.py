@@ -1,6 +1,6 @@
-"""A log's signals on one clock and in known units."""
+"""From the channels of one log to records: known units, one clock, cut at gaps."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -8,12 +8,21 @@ import numpy as np
 
 from hitchid._support.records import Notice, short_repr
 from hitchid.errors import LogError
-from hitchid.logs.clocks import SIGNED_COMMAND, resample_to_common_clock
 from hitchid.logs.content import Content, LogChannel
-from hitchid.logs.not_measured import without_unmeasured
-from hitchid.logs.record import COMMAND, DISPLACEMENT, LIFTING, LOWERING, Record, resampled
+from hitchid.logs.not_measured import sample_or_line, without_unmeasured
+from hitchid.logs.record import (
+    COMMAND,
+    DISPLACEMENT,
+    HOLD_ROLES,
+    LIFTING,
+    LOWERING,
+    SIGNED_COMMAND,
+    Record,
+    held_rows,
+    resampled,
+)
 from hitchid.logs.resampling import (
-    LogSection,
+    GAP_FACTOR,
     one_sample_a_stamp,
     sections,
     spread_stamps,
@@ -24,6 +33,12 @@ from hitchid.logs.signal_map import DEFAULT_SIGNALS, DIMENSIONS, Column, SignalM
 from hitchid.logs.units import UNITS, parse_unit, unit_of_column
 
 TIME = "time"  # role of the time among the signals of a log
+MIN_SAMPLES = 20  # samples of the shortest usable stretch; chosen
+CLOCK_TOLERANCE_S = 1e-9  # s; rounding of time stamps
+SLOWEST_COMMAND = 10.0  # sampling times of the displacement; a slower command is held (chosen)
+ON_CHANGE_STEPS = 3.0  # of the displacement; a channel logged on change is rarer (chosen)
+# Of its intervals, longer or shorter than their median by a factor of 1.5: no clock, even with gaps (chosen).
+ON_CHANGE_QUANTILE = 0.9
 
 
 @short_repr
@@ -63,40 +78,37 @@ def table_of(content: Content, signals: SignalMap) -> LogTable:
         LogError: a unit is missing or contradictory, a channel holds no number, or the clocks do not overlap.
     """
     content = _with_stamps(content, signals.time.column)
-    columns = _columns_by_role(signals, content)
-    if TIME not in columns and signals.time.column != DEFAULT_SIGNALS.time.column:
-        problem = (
-            "there is no such channel, and none is needed, because every channel has its "
-            "own clock: remove this line from campaign.toml, or name an existing channel "
-            "as time"
-        )
-        raise LogError(content.source, problem, column=signals.time.column)
-    converted, notices = {}, list(content.notices)
-    for role, column in columns.items():
-        converted[role], unit_notices = _convert_unit(content, role, column)
+    source, line_of = content.source, content.line_of
+    channels, names, notices = {}, {}, list(content.notices)
+    for role, column in _columns_by_role(signals, content).items():
+        channels[role], unit_notices = _convert_unit(content, role, column)
+        names[role] = column.column
         notices += unit_notices
-    time = converted.pop(TIME, None)
-    displacement = converted[DISPLACEMENT].values if DISPLACEMENT in converted else np.zeros(0)
+    time = channels.pop(TIME, None)
+    displacement = channels[DISPLACEMENT].values if DISPLACEMENT in channels else np.zeros(0)
     if time is not None and time.values.size == displacement.size:
         spread = spread_stamps(time.values, displacement)
         if spread is not None:
             time = time._replace(values=spread[0])
             notices.append(spread[1])
-    names = {role: column.column for role, column in columns.items() if role != TIME}
-    given_time, line_of = time, content.line_of
-    time, converted, not_measured = without_unmeasured(content.source, time, converted, names, line_of)
-    if given_time is not None and time is None:
-        unique_stamp_rows(given_time.values, content.source, column=signals.time.column, line_of=line_of)
-    time_s, sampled, clock_notices = resample_to_common_clock(content.source, time, converted, names)
-    if given_time is not None and time is None:
-        rows = np.searchsorted(given_time.values, time_s)
-        line_of = _line_of_rows(content, rows)
-    split = _split_signed_command(sampled)
+    given_time = time
+    time, channels, not_measured = without_unmeasured(source, time, channels, names, line_of)
+    stamps = None if given_time is None or time is not None else given_time.values
+    if stamps is not None:  # every channel has a clock of its own now
+        unique_stamp_rows(stamps, source, column=signals.time.column, line_of=line_of)
+    time_s, sampled, clock_notices = resample_to_common_clock(source, time, channels, names)
+    if stamps is not None:
+        line_of = _line_of_rows(content, np.searchsorted(stamps, time_s))
+    split = {DISPLACEMENT: sampled[DISPLACEMENT]} if DISPLACEMENT in sampled else {}
+    split |= {role: values for role, values in sampled.items() if role != SIGNED_COMMAND}
+    if SIGNED_COMMAND in sampled:  # positive is lifting, negative lowering
+        signed = sampled[SIGNED_COMMAND]
+        split |= {COMMAND[LIFTING]: np.maximum(signed, 0.0), COMMAND[LOWERING]: np.maximum(-signed, 0.0)}
     return LogTable(
-        source=content.source,
+        source=source,
         time_s=time_s,
         signals=split,
-        units={role: converted[role if role in converted else SIGNED_COMMAND].unit or "1" for role in split},
+        units={role: channels[role if role in channels else SIGNED_COMMAND].unit or "1" for role in split},
         columns={names[role]: values for role, values in sampled.items()},
         notices=(*notices, *clock_notices),
         line_of=line_of,
@@ -120,11 +132,10 @@ def _with_stamps(content: Content, time: str) -> Content:
         for name, channel in content.channels.items()
         if channel.values.size == stamps.size
     }
-    first = int(np.argmin(np.isfinite(stamps)))
-    line = content.line_of(first)
+    first = sample_or_line(int(np.argmin(np.isfinite(stamps))), content.line_of)
     notice = (
-        f"{stamps.size - rows.size} of {stamps.size} rows are left out, the first in "
-        f"{f'sample {first}' if line is None else f'line {line}'}: they have no time stamp"
+        f"{stamps.size - rows.size} of {stamps.size} rows are left out, the first in {first}: "
+        "they have no time stamp"
     )
     return Content(
         content.source,
@@ -140,15 +151,23 @@ def _line_of_rows(content: Content, rows: np.ndarray) -> Callable[[int], int | N
 
 def _columns_by_role(signals: SignalMap, content: Content) -> dict[str, Column]:
     """Return role to column, the time only where the log has such a channel."""
-    covariates = {column.column: column for column in signals.covariates}
-    all_columns = {
-        TIME: signals.time if signals.time.column in content.channels else None,
+    time = signals.time if signals.time.column in content.channels else None
+    if time is None and signals.time.column != DEFAULT_SIGNALS.time.column:
+        problem = (
+            "there is no such channel, and none is needed, because every channel has its "
+            "own clock: remove this line from campaign.toml, or name an existing channel "
+            "as time"
+        )
+        raise LogError(content.source, problem, column=signals.time.column)
+    columns = {
+        TIME: time,
         COMMAND[LIFTING]: signals.lifting_command,
         COMMAND[LOWERING]: signals.lowering_command,
         SIGNED_COMMAND: signals.command,
         DISPLACEMENT: signals.displacement,
     }
-    return {**{role: column for role, column in all_columns.items() if column is not None}, **covariates}
+    columns |= {column.column: column for column in signals.covariates}
+    return {role: column for role, column in columns.items() if column is not None}
 
 
 def _convert_unit(content: Content, role: str, column: Column) -> tuple[LogChannel, list[str]]:
@@ -164,7 +183,13 @@ def _convert_unit(content: Content, role: str, column: Column) -> tuple[LogChann
             f'give one in {content.map_place}: {{ column = "{name}", unit = "…" }}',
             column=name,
         )
-    _check_dimension(source, role, name, declared_unit)
+    dimension, dimensions = UNITS[declared_unit].dimension, DIMENSIONS.get(role)
+    if dimensions and dimension not in dimensions:
+        raise LogError(
+            source,
+            f"'{declared_unit}' is a unit of {dimension}, expected one of {', '.join(dimensions)} for {role}",
+            column=name,
+        )
     unit = "s" if role == TIME else declared_unit
     if column.scale is not None:
         # The scale replaces the unit of the file.
@@ -175,7 +200,7 @@ def _convert_unit(content: Content, role: str, column: Column) -> tuple[LogChann
             else [f"{name}: scaled to {declared_unit}; the unit in the log is {file_unit}"]
         )
         return channel._replace(values=(channel.values - column.zero) * factor, unit=unit), notices
-    _check_agrees(source, name, declared_unit, file_unit)
+    _check_file_unit(source, name, declared_unit, file_unit)
     notices = []
     if channel.unit and file_unit is None:
         notices.append(f"{name}: the unit '{channel.unit}' in the log is not known; read as {declared_unit}")
@@ -186,23 +211,13 @@ def _convert_unit(content: Content, role: str, column: Column) -> tuple[LogChann
             f"{name}: read as {declared_unit}, the unit in the signal map, although the name has another unit"
         )
     source_unit = file_unit or declared_unit
-    factor = 1.0 if source_unit == unit else UNITS[source_unit].factor / UNITS[unit].factor
     values = channel.values - column.zero if column.zero else channel.values
-    values = values if factor == 1.0 else values * factor
+    if source_unit != unit:
+        values = values * (UNITS[source_unit].factor / UNITS[unit].factor)
     return channel._replace(values=values, unit=unit), notices
 
 
-def _check_dimension(source: Path | str, role: str, name: str, declared_unit: str) -> None:
-    dimension, dimensions = UNITS[declared_unit].dimension, DIMENSIONS.get(role)
-    if dimensions and dimension not in dimensions:
-        raise LogError(
-            source,
-            f"'{declared_unit}' is a unit of {dimension}, expected one of {', '.join(dimensions)} for {role}",
-            column=name,
-        )
-
-
-def _check_agrees(source: Path | str, name: str, declared_unit: str, file_unit: str | None) -> None:
+def _check_file_unit(source: Path | str, name: str, declared_unit: str, file_unit: str | None) -> None:
     """Refuse a unit of the file that contradicts the column's name or the signal map."""
     if file_unit is None:
         return
@@ -222,19 +237,143 @@ def _check_agrees(source: Path | str, name: str, declared_unit: str, file_unit: 
         )
 
 
-def _split_signed_command(samples: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return role to samples with a signed command split: positive is lifting, negative lowering."""
-    displacement = {DISPLACEMENT: samples[DISPLACEMENT]} if DISPLACEMENT in samples else {}
-    split = displacement | {role: values for role, values in samples.items() if role != SIGNED_COMMAND}
-    if SIGNED_COMMAND in samples:
-        signed = samples[SIGNED_COMMAND]
-        split |= {COMMAND[LIFTING]: np.maximum(signed, 0.0), COMMAND[LOWERING]: np.maximum(-signed, 0.0)}
-    return split
+def resample_to_common_clock(
+    source: Path | str, time: LogChannel | None, channels: Mapping[str, LogChannel], names: Mapping[str, str]
+) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
+    """Return time stamps, s, every channel's samples at them, and notices.
+
+    A channel that holds the time applies to all. Otherwise each channel has a clock of its own, and all come
+    to the slowest of the displacement and the commands; not counted are commands that are logged on change,
+    or more than ten times slower than the displacement. Commands and what is logged on change are held, other
+    signals interpolated. Samples in a gap of any channel are left out. Of samples with one time stamp a
+    command takes the last, another signal the one nearest to the line through its neighbours.
+
+    Raises:
+        LogError: a channel has no clock, another length than the time, or time that decreases or is
+            constant; or the channels have no time in common.
+    """
+    if time is not None:
+        for role, channel in channels.items():
+            _check_time(source, time.values, channel, names[role])
+        return time.values, {role: channel.values for role, channel in channels.items()}, []
+    clocks, samples = {}, {}
+    for role, channel in channels.items():
+        clocks[role], samples[role] = _increasing(source, role, channel, names[role])
+    steps = {role: float(np.median(np.diff(clock))) for role, clock in clocks.items()}
+    measured_step_s = steps.get(DISPLACEMENT, min(steps.values()))
+    on_change = _logged_on_change(clocks, samples, measured_step_s)
+    # What is rare beside the motion, such as an oil temperature, says nothing about how well it was sampled.
+    deciding = [
+        role
+        for role in (DISPLACEMENT, *HOLD_ROLES)
+        if role in clocks and role not in on_change and steps[role] <= SLOWEST_COMMAND * measured_step_s
+    ]
+    reference = max(deciding, key=lambda role: steps[role], default=min(steps, key=lambda role: steps[role]))
+    target = clocks[reference]
+    others = {role for role, clock in clocks.items() if not np.array_equal(clock, target)}
+    if not others:
+        return target, samples, []
+    mask = _common_instants(clocks, steps, reference, others, on_change)
+    if not mask.any():
+        raise LogError(source, "the time ranges of the channels do not overlap")
+    target = target[mask]
+    for role, values in samples.items():
+        if role not in others:
+            samples[role] = values[mask]
+        elif role in on_change or role in HOLD_ROLES:
+            samples[role] = values[held_rows(clocks[role], target)]
+        else:
+            samples[role] = np.interp(target, clocks[role], values)
+    notices = []
+    if len(set(steps.values())) > 1 or not all(np.all(np.isin(target, clocks[role])) for role in others):
+        steps_text = ", ".join(f"{names[role]} {step_s:.4g} s" for role, step_s in steps.items())
+        notices.append(f"resampled to the clock of {names[reference]}: {steps_text}")
+    notices += [
+        f"{names[role]} is sampled every {steps[role]:.3g} s, {names[reference]} every "
+        f"{steps[reference]:.3g} s: dead times are known no better than that"
+        for role in HOLD_ROLES
+        if role in others - on_change and steps[role] > SLOWEST_COMMAND * steps[reference]
+    ]
+    return target, samples, notices
+
+
+def _check_time(source: Path | str, time_s: np.ndarray, channel: LogChannel, name: str) -> None:
+    """Refuse a time of another length or duration than the channel and its own clock have."""
+    clock, size = channel.clock_s, channel.values.size
+    if size != time_s.size:
+        raise LogError(source, f"has {size} samples, expected {time_s.size} as the time", column=name)
+    if clock is None or clock.size < 2:
+        return
+    clock_duration_s, time_duration_s = float(clock[-1] - clock[0]), float(time_s[-1] - time_s[0])
+    if not abs(clock_duration_s - time_duration_s) <= abs(time_duration_s) / (clock.size - 1):
+        problem = f"lasts {clock_duration_s:g} s on its own clock, {time_duration_s:g} s on the time channel"
+        raise LogError(
+            source, f"{problem}; name the time channel of its own group in campaign.toml", column=name
+        )
+
+
+def _increasing(
+    source: Path | str, role: str, channel: LogChannel, name: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return clock and samples of a channel, one sample a stamp."""
+    clock, values = channel.clock_s, channel.values
+    if clock is None:
+        problem = 'has no clock in the file; name the time channel in campaign.toml: time = "…"'
+        raise LogError(source, problem, column=name)
+    if clock.size < 2:
+        raise LogError(source, f"has {clock.size} samples, expected at least 2", column=name)
+    rows = unique_stamp_rows(clock, source, column=name, line_of=lambda _: None)
+    if rows.size == clock.size:
+        return clock, values
+    return clock[rows], one_sample_a_stamp(values, clock, rows, is_held=role in HOLD_ROLES)
+
+
+def _logged_on_change(
+    clocks: Mapping[str, np.ndarray], samples: Mapping[str, np.ndarray], measured_step_s: float
+) -> set[str]:
+    """Return the channels that were written when they changed, so that each sample holds until the next.
+
+    Their samples are rarer than the displacement's, and irregular; a command's may also never repeat, but in
+    the sample that closes the log.
+    """
+    on_change = set()
+    for role in clocks.keys() - {DISPLACEMENT}:
+        intervals = np.diff(clocks[role])
+        step_s = float(np.median(intervals))
+        shorter, longer = np.quantile(intervals, [1 - ON_CHANGE_QUANTILE, ON_CHANGE_QUANTILE])
+        is_irregular = longer > GAP_FACTOR * step_s or step_s > GAP_FACTOR * shorter
+        never_repeats = role in HOLD_ROLES and np.all(np.diff(samples[role][:-1]))
+        if step_s > ON_CHANGE_STEPS * measured_step_s and (is_irregular or never_repeats):
+            on_change.add(role)
+    return on_change
+
+
+def _common_instants(
+    clocks: Mapping[str, np.ndarray],
+    steps: Mapping[str, float],
+    reference: str,
+    others: Collection[str],
+    on_change: Collection[str],
+) -> np.ndarray:
+    """Return at which instants of the reference clock every other channel is known, shape [N]."""
+    target = clocks[reference]
+    mask = np.ones(target.size, dtype=bool)
+    for role in others:
+        clock, step_s = clocks[role], max(steps[role], steps[reference])
+        # Motion is not made up beyond its samples; a slow covariate hardly changes within one of its steps.
+        is_slow = steps[role] > steps[reference]
+        slack_s = step_s / 2 if role in HOLD_ROLES else step_s if is_slow else CLOCK_TOLERANCE_S
+        mask &= target >= clock[0] - slack_s
+        if role in on_change:  # each sample holds until the next, the last one to the end
+            continue
+        after = np.clip(np.searchsorted(clock, target), 1, clock.size - 1)
+        nearest_s = np.minimum(np.abs(target - clock[after]), np.abs(target - clock[after - 1]))
+        mask &= (clock[after] - clock[after - 1] <= GAP_FACTOR * step_s) | (nearest_s <= CLOCK_TOLERANCE_S)
+        mask &= target <= clock[-1] + slack_s
+    return mask
 
 
 # From the table of one log to records: cut at gaps, resampled where time stamps are irregular.
-
-MIN_SAMPLES = 20  # samples of the shortest usable stretch; chosen
 
 
 def records_of(name: str, table: LogTable, signals: SignalMap) -> list[Record]:
@@ -243,23 +382,38 @@ def records_of(name: str, table: LogTable, signals: SignalMap) -> list[Record]:
     Raises:
         LogError: the clock cannot be used, or no stretch is long enough.
     """
-    source, column = table.source, signals.time.column
-    rows = unique_stamp_rows(table.time_s, source, column=column, line_of=table.line_of)
-    repeated = table.time_s.size - rows.size
-    table = _one_row_a_stamp(table, rows) if repeated else table
-    time_s = table.time_s
-    commands = {role: values for role, values in table.signals.items() if role in COMMAND.values()}
-    all_sections = sections(time_s, commands, table.signals[DISPLACEMENT])
+    source, time_s, samples = table.source, table.time_s, table.signals
+    rows = unique_stamp_rows(time_s, source, column=signals.time.column, line_of=table.line_of)
+    repeated = time_s.size - rows.size
+    if repeated:
+        samples = {
+            role: one_sample_a_stamp(values, time_s, rows, is_held=role in COMMAND.values())
+            for role, values in samples.items()
+        }
+        time_s = time_s[rows]
+    commands = {role: values for role, values in samples.items() if role in COMMAND.values()}
+    all_sections = sections(time_s, commands, samples[DISPLACEMENT])
     usable = [section for section in all_sections if section.stop - section.start >= MIN_SAMPLES]
     if not usable:
         longest = max((section.stop - section.start for section in all_sections), default=time_s.size)
         raise LogError(
             source, f"the longest part without gaps has {longest} samples, expected at least {MIN_SAMPLES}"
         )
-    records = [
-        _record(name if len(usable) == 1 else f"{name}@{number}", table, section)
-        for number, section in enumerate(usable, start=1)
-    ]
+    records = []
+    for number, section in enumerate(usable, start=1):
+        stamps = time_s[section.start : section.stop]
+        cut = {role: values[section.start : section.stop] for role, values in samples.items()}
+        record = Record(
+            name=name if len(usable) == 1 else f"{name}@{number}",
+            step_s=section.step_s,
+            signals=resampled(cut, stamps, uniform(stamps, section.step_s)) if section.resampled else cut,
+            units=table.units,
+            start_s=float(stamps[0]),
+            source=source if isinstance(source, Path) else None,
+            notices=section.notices,
+            clock=section.clock,
+        )
+        records.append(record)
     notices = [*table.not_measured, *(Notice("as-read", sentence) for sentence in table.notices)]
     if repeated:
         sentence = f"{repeated} rows are left out: they repeat the time stamp of the previous row"
@@ -272,28 +426,3 @@ def records_of(name: str, table: LogTable, signals: SignalMap) -> list[Record]:
         notices.append(Notice("samples-left-out", sentence))
     records[0] = replace(records[0], notices=(*records[0].notices, *notices))
     return records
-
-
-def _one_row_a_stamp(table: LogTable, rows: np.ndarray) -> LogTable:
-    samples = {
-        role: one_sample_a_stamp(values, table.time_s, rows, is_held=role in COMMAND.values())
-        for role, values in table.signals.items()
-    }
-    return replace(table, time_s=table.time_s[rows], signals=samples)
-
-
-def _record(name: str, table: LogTable, section: LogSection) -> Record:
-    stamps = table.time_s[section.start : section.stop]
-    samples = {role: values[section.start : section.stop] for role, values in table.signals.items()}
-    if section.resampled:
-        samples = resampled(samples, stamps, uniform(stamps, section.step_s))
-    return Record(
-        name=name,
-        step_s=section.step_s,
-        signals=samples,
-        units=table.units,
-        start_s=float(stamps[0]),
-        source=table.source if isinstance(table.source, Path) else None,
-        notices=section.notices,
-        clock=section.clock,
-    )

@@ -46,9 +46,7 @@ class Windows:
 def windows(logs: Sequence[tuple[Content, Mapping[str, np.ndarray]]], names: Sequence[str]) -> Windows:
     """Return means and rates over windows of 0.2 s, or of three samples if that is longer.
 
-    Args:
-        logs: content, and channel to the time of its samples, s, shape [N].
-        names: of the channels; at most the first 80 are used.
+    A log is its content, and channel to the time of its samples, s, shape [N]. At most 80 names are used.
     """
     names = names[:MAX_CHANNELS]
     means: dict[str, list[np.ndarray]] = {name: [] for name in names}

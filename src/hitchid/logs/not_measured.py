@@ -1,16 +1,15 @@
 """Samples that no sensor measured: missing values, error codes of loggers, stale starts of logs."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from hitchid._support.records import Notice, Severity
 from hitchid.errors import LogError
-from hitchid.logs.clocks import HOLD_ROLES
 from hitchid.logs.content import LogChannel
-from hitchid.logs.record import DISPLACEMENT
-from hitchid.logs.resampling import SHORT_GAP_S, SHORT_GAP_STEPS
+from hitchid.logs.record import DISPLACEMENT, HOLD_ROLES
+from hitchid.logs.resampling import SHORT_GAP_S, SHORT_GAP_STEPS, LineOf
 
 NOT_MEASURED = "not-measured"  # code of the notices
 FEWEST_SAMPLES = 20  # samples left beside an error code, from which motion and noise are known (chosen)
@@ -32,20 +31,13 @@ def without_unmeasured(
     time: LogChannel | None,
     channels: Mapping[str, LogChannel],
     names: Mapping[str, str],
-    line_of: Callable[[int], int | None],
+    line_of: LineOf,
 ) -> tuple[LogChannel | None, dict[str, LogChannel], list[Notice]]:
     """Return time and channels without samples that no sensor measured, and a notice for each channel.
 
     Gaps up to 0.2 s or three samples are closed: commands hold their value, other signals are interpolated.
     What is missing longer, at an end, or in more than a tenth of a channel is left out of it, and every
-    channel then has a clock of its own.
-
-    Args:
-        source: the file, for messages.
-        time: the channel that holds the time, s; None if every channel has a clock.
-        channels: role to channel.
-        names: role to column.
-        line_of: from a sample to its line in the file.
+    channel then has a clock of its own. The time, s, is None if every channel has a clock.
 
     Raises:
         LogError: a channel holds no number.
@@ -73,12 +65,9 @@ def without_unmeasured(
             continue
         filled, missing_rows[role] = _filled(values, missing, clock, is_held=role in HOLD_ROLES)
         cleaned[role] = channel._replace(values=filled)
-        first_row = int(np.argmax(missing))
-        line = line_of(first_row)
-        place = f"sample {first_row}" if line is None else f"line {line}"
         sentence = (
-            f"{np.count_nonzero(missing)} of {values.size} samples are left out, the first in {place}: "
-            f"they {', or '.join(kinds)}"
+            f"{np.count_nonzero(missing)} of {values.size} samples are left out, the first in "
+            f"{sample_or_line(int(np.argmax(missing)), line_of)}: they {', or '.join(kinds)}"
         )
         notices.append(Notice(NOT_MEASURED, sentence, role, Severity.WARNING))
     if not any(rows.any() for rows in missing_rows.values()):
@@ -89,6 +78,12 @@ def without_unmeasured(
         if clock is not None and clock.size == rows.size:
             cleaned[role] = channel._replace(values=channel.values[rows], clock_s=clock[rows])
     return None, cleaned, notices
+
+
+def sample_or_line(sample: int, line_of: LineOf) -> str:
+    """Return where a sample stands: its line in the file, its number for a format without lines."""
+    line = line_of(sample)
+    return f"sample {sample}" if line is None else f"line {line}"
 
 
 def _reading(value: float, channel: LogChannel) -> str:
@@ -103,8 +98,11 @@ def _filled(
         return values, missing
     rows = np.flatnonzero(~missing)
     step_s = float(np.median(np.diff(clock)))
-    before, after = (rows[np.clip(k, 0, rows.size - 1)] for k in _neighbours(rows, values.size))
-    is_inside = (before < np.arange(values.size)) & (after > np.arange(values.size))
+    # The last number up to each sample, and the next after it.
+    samples = np.arange(values.size)
+    next_row = np.searchsorted(rows, samples, side="right")
+    before, after = (rows[np.clip(k, 0, rows.size - 1)] for k in (next_row - 1, next_row))
+    is_inside = (before < samples) & (after > samples)
     is_short = clock[after] - clock[before] <= max(SHORT_GAP_S, (SHORT_GAP_STEPS + 0.5) * step_s)
     closed = missing & is_inside & is_short
     filled = values.copy()
@@ -112,12 +110,6 @@ def _filled(
         values[before[closed]] if is_held else np.interp(clock[closed], clock[rows], values[rows])
     )
     return filled, missing & ~closed
-
-
-def _neighbours(rows: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the positions in `rows` of the last row up to each sample, and of the next after it."""
-    after = np.searchsorted(rows, np.arange(size), side="right")
-    return after - 1, after
 
 
 def _error_codes(
@@ -142,27 +134,25 @@ def _error_codes(
             is_code = readings == code
             if not 0 < np.count_nonzero(is_code) <= readings.size - FEWEST_SAMPLES:
                 continue
-            found = _command_code(readings, is_code) if is_command else _interruptions(readings, is_code)
-            if found.any():
-                yield code, rows[found]
-                rows = rows[~found]
+            if is_command:
+                starts, stops = true_intervals(is_code)
+                largest = float(np.max(np.abs(readings[~is_code])))
+                is_far = abs(code) > COMMAND_RATIO * largest > 0
+                errors = is_code & (is_far and bool(np.all(stops - starts <= SHORT_SAMPLES)))
+            else:
+                errors = _interruptions(readings, is_code)
+            if errors.any():
+                yield code, rows[errors]
+                rows = rows[~errors]
                 break
         else:
             return
 
 
-def _command_code(readings: np.ndarray, is_code: np.ndarray) -> np.ndarray:
-    """Return where a command reads an error code, shape [N]."""
-    starts, stops = _runs(is_code)
-    largest = float(np.max(np.abs(readings[~is_code])))
-    is_far = float(np.abs(readings[starts[0]])) > COMMAND_RATIO * largest > 0
-    return is_code & (is_far and bool(np.all(stops - starts <= SHORT_SAMPLES)))
-
-
 def _interruptions(readings: np.ndarray, is_code: np.ndarray) -> np.ndarray:
     """Return where a measured signal reads an error code, shape [N]."""
     code, others = float(readings[is_code][0]), readings[~is_code]
-    starts, stops = _runs(is_code)
+    starts, stops = true_intervals(is_code)
     # Positions among the others: the last before an interruption and the first after it.
     before = starts - np.concatenate([[0], np.cumsum(stops - starts)[:-1]]) - 1
     after = before + 1
@@ -202,7 +192,11 @@ def _stale_start(values: np.ndarray, missing: np.ndarray, commands: Sequence[np.
     if readings.size <= FEWEST_SAMPLES + STALE_SAMPLES:
         return 0
     steps = np.abs(np.diff(readings))
-    rest = min((_rest_samples(command, values.size) for command in commands), default=0)
+    # Samples before a command first changes; none if it has another clock.
+    rest = 0 if any(command.size != values.size for command in commands) or not commands else values.size
+    for command in commands if rest else ():
+        changed = np.abs(command - command[0]) > MIN_STALE_FRACTION * np.ptp(command)
+        rest = min(rest, int(np.argmax(changed)) if np.any(changed) else rest)
     fast = FASTER_THAN_MOTION * _fast_step(steps[STALE_SAMPLES:])
     least = max(_noise_limit(readings[STALE_SAMPLES:]), MIN_STALE_FRACTION * np.ptp(readings[STALE_SAMPLES:]))
     for stale in range(STALE_SAMPLES, 0, -1):
@@ -212,12 +206,6 @@ def _stale_start(values: np.ndarray, missing: np.ndarray, commands: Sequence[np.
         if steps[stale - 1] > max(limit, least):
             return stale
     return 0
-
-
-def _rest_samples(command: np.ndarray, samples: int) -> int:
-    """Return the samples before a command first changes; 0 if it has another clock."""
-    changed = np.abs(command - command[0]) > MIN_STALE_FRACTION * np.ptp(command) if command.size else command
-    return 0 if command.size != samples else int(np.argmax(changed)) if np.any(changed) else samples
 
 
 def _fast_step(steps: np.ndarray) -> float:
@@ -234,7 +222,7 @@ def _noise_limit(readings: np.ndarray) -> float:
     return NOISE_SIGMAS * 2**0.5 * noise + 2 * float(np.min(changes, initial=np.inf) if changes.size else 0.0)
 
 
-def _runs(condition: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def true_intervals(condition: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return first samples and one past the last of every interval where a condition is true."""
     edges = np.flatnonzero(np.diff(condition.astype(np.int8), prepend=0, append=0))
     return edges[::2], edges[1::2]

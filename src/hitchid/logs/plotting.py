@@ -66,44 +66,30 @@ def plot_campaign(
         legend_order=LABELS,
         sharey=True,
     ) as drawn:
-        held_out = _held_out(campaign)
-        for number, (each, record) in enumerate(zip(drawn, shown, strict=False), start=1):
-            draw_segments(each, _spans(record, segments(record)))
-            draw_displacement(each, record.time_s, record.displacement, record.unit)
-            each.set_xlabel("time / s")
+        held_out = {test.name for kind in (*DIRECTIONS, CYCLE) for test in campaign.held_out(kind)}
+        for number, (cell, record) in enumerate(zip(drawn, shown, strict=False), start=1):
+            draw_segments(cell, _spans(record, segments(record)))
+            draw_displacement(cell, record.time_s, record.displacement, record.unit)
+            cell.set_xlabel("time / s")
             remark = " (held out)" if record.name in held_out else ""
             if number == len(shown) < len(records):
                 remark += f" + {len(records) - number} more tests"
-            each.set_title(_title(printable(record.name), remark), loc="left", parse_math=False)
-        if axes is None:
-            _tidy_grid(drawn, len(shown), columns)
+            name, room = printable(record.name), MAX_TITLE - len(remark)
+            short = name if len(name) <= room else f"{name[: room - 1]}…"
+            cell.set_title(f"{short}{remark}", loc="left", parse_math=False)
+        # Of a new figure unused axes are hidden, and labels that the axes to the left or below repeat.
+        for number, cell in enumerate(drawn if axes is None else ()):
+            cell.set_visible(number < len(shown))
+            if number % columns:
+                cell.set_ylabel("")
+            if number + columns < len(shown):
+                cell.set_xlabel("")
     return drawn[: len(shown)]
 
 
-def _tidy_grid(drawn: np.ndarray, shown: int, columns: int) -> None:
-    """Hide unused axes, and labels that the axes to the left or below repeat."""
-    for number, each in enumerate(drawn):
-        each.set_visible(number < shown)
-        if number % columns:
-            each.set_ylabel("")
-        if number + columns < shown:
-            each.set_xlabel("")
-
-
-def _held_out(campaign: "Campaign") -> set[str]:
-    return {record.name for kind in (*DIRECTIONS, CYCLE) for record in campaign.held_out(kind)}
-
-
-def _title(name: str, remark: str) -> str:
-    """Return a name, shortened where there is no room for it, and a remark."""
-    room = MAX_TITLE - len(remark)
-    short = name if len(name) <= room else f"{name[: room - 1]}…"
-    return f"{short}{remark}"
-
-
-def _spans(record: Record, found: Sequence[Segment]) -> list[tuple[str, float, float]]:
+def _spans(record: Record, parts: Sequence[Segment]) -> list[tuple[str, float, float]]:
     """Return label, start and end of segments, s."""
     return [
         (label, record.start_s + record.step_s * start, record.start_s + record.step_s * stop)
-        for label, start, stop in found
+        for label, start, stop in parts
     ]

@@ -69,14 +69,9 @@ def stated_unit(name: str, unit: str | None) -> tuple[str | None, str]:
 def unit_of(
     role: str, name: str, unit: str | None, largest: float, zero: float | None = None
 ) -> tuple[str, str]:
-    """Return the unit of a signal and its source: the file, the name, or a guess from the range.
+    """Return the unit of a signal and its source: the file, the name, or a guess from the largest reading.
 
-    Args:
-        role: as in `[signals]`.
-        name: of the column.
-        unit: as spelled in the file.
-        largest: largest absolute reading.
-        zero: neutral reading of a command; for a servo, 1.5 ms in 20 ms are 7.5 percent.
+    The neutral reading of a command for a servo, 1.5 ms in 20 ms, is a `zero` of 7.5 percent.
     """
     stated, source = stated_unit(name, unit)
     if stated is not None and UNITS[stated].dimension in DIMENSIONS[role]:
@@ -92,7 +87,7 @@ def unit_of(
         guess = "A" if largest <= 5 else "mA"
     elif zero is not None and SERVO_NEUTRAL[0] < zero < SERVO_NEUTRAL[1]:
         guess = "percent"
-    elif largest > 105 and "rpm" in UNITS:
+    elif largest > 105:
         guess = "rpm"
     else:
         guess = "1" if largest <= 1.05 else "V" if largest <= ANALOG_V else "percent"
@@ -165,7 +160,12 @@ def propose(logs: str | Path | Iterable[str | Path]) -> str:
         (content, {name: np.asarray(channel.clock_s) for name, channel in content.channels.items()})
         for content in contents
     ]
-    names = [name for name in contents[0].channels if name != time.name and _usable(name, contents)]
+    names = []
+    for name in contents[0].channels:
+        arrays = [content.channels[name].values for content in contents]
+        is_constant = not any(samples.size > 0 and np.ptp(samples) > 0 for samples in arrays)
+        if name != time.name and not is_constant and all(samples.size > 1 for samples in arrays):
+            names.append(name)
     log_windows = windows(timed, names) if names else Windows({}, {}, np.zeros(0, dtype=bool))
     guesses = sorted(_guesses(log_windows, names, contents), reverse=True)
     if not guesses:
@@ -234,12 +234,6 @@ def _with_clocks(content: Content, time: _Time) -> Content:
             channel.values[finite], channel.unit, np.maximum.accumulate(clock[finite])
         )
     return replace(content, channels=channels)
-
-
-def _usable(name: str, contents: Sequence[Content]) -> bool:
-    """Return whether a channel has samples and is not constant."""
-    arrays = [content.channels[name].values for content in contents]
-    return all(a.size > 1 for a in arrays) and any(np.ptp(a) > 0 for a in arrays)
 
 
 def _guesses(log_windows: Windows, names: Sequence[str], contents: Sequence[Content]) -> Iterator[_Guess]:
@@ -321,7 +315,9 @@ def _lines(
     )
     yield f"displacement = {_column(best.displacement, unit)}"
     yield from _covariates(best, contents, names)
-    yield from _others(guesses)
+    for guess in guesses[1:4]:
+        if guess.score > best.score - SCORE_MARGIN:
+            yield f"# almost equally likely: {' and '.join(guess.commands)} with {guess.displacement}"
     yield ""
 
 
@@ -410,14 +406,6 @@ def _covariates(best: _Guess, contents: Sequence[Content], names: Sequence[str])
         also = f"; other pressures: {', '.join(pressures[1:MAX_SHOWN])}" if pressures[1:] else ""
         yield f"# a pressure by its name; may represent the load{also}"
         yield f"covariates = [{toml_text(pressures[0])}]"
-
-
-def _others(guesses: Sequence[_Guess]) -> Iterator[str]:
-    """Yield comments on guesses of nearly the same score."""
-    best = guesses[0]
-    alternatives = [guess for guess in guesses[1:4] if guess.score > best.score - SCORE_MARGIN]
-    for guess in alternatives:
-        yield f"# almost equally likely: {' and '.join(guess.commands)} with {guess.displacement}"
 
 
 def _range(name: str, contents: Sequence[Content]) -> tuple[float, float]:

@@ -10,8 +10,8 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from hitchid.errors import LogError
 from hitchid.logs.content import MAX_UNPACK_RATIO, ChannelSelection, Content, LogChannel, max_unpacked_bytes
-from hitchid.logs.formats import Format, format_of
+from hitchid.logs.formats import format_of
 
 READY = b"begun\n"
 # Time limits, chosen well above what intact files take: start of the child, s; reading a log, s, and bytes/s.
@@ -45,9 +45,9 @@ class ReaderProcess(AbstractContextManager["ReaderProcess"]):
             LogError: the log cannot be read, or reading takes too long or too much memory.
         """
         try:
-            limit_s = (
-                LONGEST_S + path.stat().st_size / BYTES_PER_S + _database_time_limit_s(selection.databases)
-            )
+            size = sum(database.stat().st_size for database in selection.databases if database.is_file())
+            databases_s = min(size / DATABASE_BYTES_PER_S, LONGEST_DATABASES_S)
+            limit_s = LONGEST_S + path.stat().st_size / BYTES_PER_S + databases_s
         except OSError as error:
             raise LogError(path, f"cannot be read: {error.strerror}") from error
         if self._child is None:
@@ -77,12 +77,6 @@ class ReaderProcess(AbstractContextManager["ReaderProcess"]):
             self._child.kill()
             self._child.communicate()
             self._child = None
-
-
-def _database_time_limit_s(databases: Sequence[Path]) -> float:
-    """Return the longest time that reading databases may take, s."""
-    size = sum(database.stat().st_size for database in databases if database.is_file())
-    return min(size / DATABASE_BYTES_PER_S, LONGEST_DATABASES_S)
 
 
 def _start_child() -> "subprocess.Popen[bytes]":
@@ -159,10 +153,8 @@ def _time_limit(child: "subprocess.Popen[bytes]", limit_s: float) -> Iterator[No
         timer.cancel()
 
 
-# The program of the reader process; see `process`.
-#
-# A request is a line of JSON. The response is a line once the format's libraries are loaded, a line of JSON,
-# and the samples, float64 in the machine's byte order.
+# The program of the reader process. A request is a line of JSON. The response is a line once the format's
+# libraries are loaded, a line of JSON, and the samples, float64 in the machine's byte order.
 
 # Memory limit, bytes: a part for the interpreter and libraries, and bytes a byte of the file; chosen.
 BASE_MEMORY_BYTES, MEMORY_PER_FILE_BYTE = 3 * 2**29, 16
@@ -177,10 +169,17 @@ def main() -> None:
         query = json.loads(request)
         path = Path(query["path"])
         log_format = format_of(path)
-        _load_libraries(log_format)
+        with suppress(ImportError):  # the reader's error names the missing library
+            for library in log_format.libraries:
+                importlib.import_module(library)
         output.write(READY)
         output.flush()
-        _limit_memory(path)
+        with suppress(ImportError):  # a system that can set no limit
+            import resource
+
+            limit_bytes = BASE_MEMORY_BYTES + MEMORY_PER_FILE_BYTE * path.stat().st_size
+            hard_limit = resource.getrlimit(resource.RLIMIT_DATA)[1]
+            resource.setrlimit(resource.RLIMIT_DATA, (limit_bytes, hard_limit))
         try:
             databases = tuple(map(Path, query["databases"]))
             signals = None if query["signals"] is None else tuple(query["signals"])
@@ -195,30 +194,13 @@ def main() -> None:
             _send_content(output, content, max_unpacked_bytes(path))
 
 
-def _load_libraries(log_format: Format) -> None:
-    for library in log_format.libraries:
-        try:
-            importlib.import_module(library)
-        except ImportError:  # the reader's error names the missing library
-            return
-
-
 def _send_content(output: IO[bytes], content: Content, max_bytes: int) -> None:
-    clocks = {
-        id(channel.clock_s): channel.clock_s
-        for channel in content.channels.values()
-        if channel.clock_s is not None
-    }
-    order = list(clocks)
-    channels = [
-        [
-            name,
-            channel.unit,
-            channel.values.size,
-            None if channel.clock_s is None else order.index(id(channel.clock_s)),
-        ]
-        for name, channel in content.channels.items()
-    ]
+    clocks, channels = {}, []  # channels on one clock share one array
+    for name, channel in content.channels.items():
+        if channel.clock_s is not None:
+            clocks.setdefault(id(channel.clock_s), channel.clock_s)
+        number = None if channel.clock_s is None else list(clocks).index(id(channel.clock_s))
+        channels.append([name, channel.unit, channel.values.size, number])
     sizes = [clock.size for clock in clocks.values()]
     if 8 * (sum(sizes) + sum(entry[2] for entry in channels)) > max_bytes:
         _send(output, {"problem": f"unpacks to more than {MAX_UNPACK_RATIO} times its size; check the file"})
@@ -232,16 +214,6 @@ def _send_content(output: IO[bytes], content: Content, max_bytes: int) -> None:
 def _send(output: IO[bytes], response: Mapping[str, object]) -> None:
     output.write(json.dumps(response).encode() + b"\n")
     output.flush()
-
-
-def _limit_memory(path: Path) -> None:
-    """Limit the memory by the size of the file, on systems that can."""
-    try:
-        import resource
-    except ImportError:
-        return
-    limit_bytes = BASE_MEMORY_BYTES + MEMORY_PER_FILE_BYTE * path.stat().st_size
-    resource.setrlimit(resource.RLIMIT_DATA, (limit_bytes, resource.getrlimit(resource.RLIMIT_DATA)[1]))
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from hitchid.logs.formats import format_of, known_format, known_suffixes, record
 from hitchid.logs.log_table import LogTable, records_of, table_of
 from hitchid.logs.reader_process import ReaderProcess
 from hitchid.logs.record import DISPLACEMENT, Record
-from hitchid.logs.signal_map import CAMPAIGN_FILE, CampaignFile, SignalMap, read_campaign_file
+from hitchid.logs.signal_map import CAMPAIGN_FILE, CampaignFile, read_campaign_file
 from hitchid.logs.unification import LeftOut, refuse, split_usable
 from hitchid.logs.units import conversion_factor
 
@@ -39,10 +39,12 @@ def find_logs(logs: str | Path | Iterable[str | Path]) -> list[Path]:
     inputs = [logs] if isinstance(logs, str | Path) else list(logs)
     paths: dict[Path, None] = {}
     for path in map(Path, inputs):
-        if _is_folder(path):
-            folder_logs = [
-                child for child in sorted(path.iterdir()) if known_format(child) and _is_file(child)
-            ]
+        try:
+            is_folder = path.is_dir()
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+        if is_folder:
+            folder_logs = [file for file in sorted(path.iterdir()) if known_format(file) and _is_file(file)]
             if not folder_logs:
                 raise InputError(
                     f"{path}: no log in this folder; expected files ending in {known_suffixes()}"
@@ -68,25 +70,21 @@ def settings_of(paths: Iterable[Path], signals: str | Path | None = None) -> dic
         InputError: a folder's settings or databases are a broken link.
         SettingsError: a settings file cannot be used.
     """
-    shared_settings = (
-        None if signals is None else _with_databases(read_campaign_file(Path(signals)), Path(signals).parent)
-    )
+    shared = None
+    if signals is not None:
+        shared = _with_databases(read_campaign_file(Path(signals)), Path(signals).parent)
 
     def for_folder(folder: Path) -> CampaignFile:
         settings_path = folder / CAMPAIGN_FILE
-        settings = shared_settings or CampaignFile()
-        if shared_settings is None and _is_file(settings_path):
+        settings = shared or CampaignFile()
+        if shared is None and _is_file(settings_path):
             settings = _with_databases(read_campaign_file(settings_path), folder)
-        return settings if settings.can.databases else _with_databases(settings, folder, _databases(folder))
+        if settings.can.databases or not folder.is_dir():
+            return settings
+        files = [child for child in sorted(folder.iterdir()) if child.suffix.lower() == DATABASE_SUFFIX]
+        return _with_databases(settings, folder, tuple(file.name for file in files if _is_file(file)))
 
     return {folder: for_folder(folder) for folder in dict.fromkeys(path.parent for path in paths)}
-
-
-def _is_folder(path: Path) -> bool:
-    try:
-        return path.is_dir()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def _is_file(path: Path) -> bool:
@@ -98,23 +96,13 @@ def _is_file(path: Path) -> bool:
     return path.is_file()
 
 
-def _databases(folder: Path) -> tuple[str, ...]:
-    if not folder.is_dir():
-        return ()
-    return tuple(
-        child.name
-        for child in sorted(folder.iterdir())
-        if child.suffix.lower() == DATABASE_SUFFIX and _is_file(child)
-    )
-
-
 def _with_databases(
     settings: CampaignFile, folder: Path, names: tuple[str, ...] | None = None
 ) -> CampaignFile:
-    """Return the settings with the paths of their databases."""
-    database_names = settings.can.databases if names is None else names
-    paths = tuple(str(folder / name) for name in database_names)
-    return settings.model_copy(update={"can": settings.can.model_copy(update={"databases": paths})})
+    """Return the settings with the paths of their databases, or of those with other names in a folder."""
+    names = settings.can.databases if names is None else names
+    can = settings.can.model_copy(update={"databases": tuple(str(folder / name) for name in names)})
+    return settings.model_copy(update={"can": can})
 
 
 LOGS = "files and folders of logs, DataFrames, or records"
@@ -227,9 +215,7 @@ def assemble(
     )
     end_stops = _end_stops(distinct_records, settings, campaign)
     patterns = {pattern for split in splits for pattern in split.test} - matched
-    unmatched = {
-        p for p in patterns if not any(fnmatchcase(left_out_log.name, p) for left_out_log in left_out)
-    }
+    unmatched = {p for p in patterns if not any(fnmatchcase(log.name, p) for log in left_out)}
     return replace(campaign, unmatched=tuple(sorted(unmatched)), end_stops=end_stops)
 
 
@@ -266,28 +252,15 @@ def read_log(path: Path, settings: CampaignFile, process: ReaderProcess) -> list
 
 def read_table(path: Path, settings: CampaignFile, process: ReaderProcess) -> LogTable:
     """Read the signals of one log without cutting or resampling it at gaps; see `read_log`."""
-    selection = ChannelSelection(
-        settings.signals.time.column,
-        _signal_columns(settings.signals),
-        tuple(map(Path, settings.can.databases)),
-    )
-    return table_of(read_content(path, selection, process), settings.signals)
+    signals, databases = settings.signals, tuple(map(Path, settings.can.databases))
+    selection = ChannelSelection(signals.time.column, signals.measured, databases)
+    return table_of(read_content(path, selection, process), signals)
 
 
 def read_content(path: Path, selection: ChannelSelection, process: ReaderProcess) -> Content:
     """Read the selected channels of a log as stored; see `read_log`."""
     log_format = format_of(path)
     return process.read(path, selection) if log_format.libraries else log_format.read(path, selection)
-
-
-def _signal_columns(signals: SignalMap) -> tuple[str, ...]:
-    mapped = (
-        signals.displacement,
-        signals.command,
-        signals.lifting_command,
-        signals.lowering_command,
-    )
-    return tuple(dict.fromkeys(c.column for c in (*mapped, *signals.covariates) if c is not None))
 
 
 def _with_distinct_names(records: Sequence[Record]) -> Sequence[Record]:

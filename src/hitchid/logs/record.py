@@ -1,5 +1,6 @@
 """Record: signals of one test on a uniform clock, with units and source."""
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,8 +14,7 @@ from hitchid._support.records import Notice, Value
 from hitchid._support.tables import Summarised, Summary
 from hitchid.errors import InputError
 from hitchid.logs.resampling import GRID_TOLERANCE, REGULAR_CLOCK, ClockQuality
-from hitchid.logs.samples import fingerprint, frozen_samples
-from hitchid.logs.units import UNITS, conversion_factor
+from hitchid.logs.units import UNITS, check_unit, conversion_factor
 
 if TYPE_CHECKING:
     import pandas
@@ -25,11 +25,14 @@ LIFTING = "lifting"
 LOWERING = "lowering"
 DIRECTIONS = (LIFTING, LOWERING)
 COMMAND = MappingProxyType({LIFTING: "lifting_command", LOWERING: "lowering_command"})
+SIGNED_COMMAND = "command"  # role of one command for both directions
+HOLD_ROLES = (SIGNED_COMMAND, *COMMAND.values())  # hold their last value between samples
 
 RAMP = "ramp"
 CYCLE = "cycle"
 IDLE = "idle"
 MAX_SAMPLES = 1e8  # of a resampled record, a day at 1 kHz; more are a wrong unit of time (chosen)
+FINGERPRINT_STEP = 1e-6  # of the range; above the rounding error of a unit conversion (chosen)
 KINDS = (LIFTING, LOWERING, RAMP, CYCLE, IDLE)
 
 
@@ -78,7 +81,18 @@ class Record(Value, Summarised):
         if not checks.number(self.step_s, f"record '{self.name}': the sampling time") > 0:
             raise InputError(f"record '{self.name}': the sampling time must be positive, got {self.step_s} s")
         shape = np.shape(self.signals[DISPLACEMENT])[:1] or (1,)
-        frozen = frozen_samples(self.name, self.signals, self.units, shape)
+        frozen = {}
+        for role, samples in self.signals.items():
+            where = f"record '{self.name}': '{role}'"
+            frozen[role] = array = _read_only(samples, where)
+            if role not in self.units:
+                raise InputError(f"{where} has no unit; expected one of {', '.join(UNITS)}")
+            check_unit(self.units[role], where)
+            if array.shape != shape:
+                raise InputError(f"{where} has shape {array.shape}, expected {shape}")
+            if not np.all(np.isfinite(array)):
+                row = int(np.flatnonzero(~np.isfinite(array))[0])
+                raise InputError(f"{where} is {array[row]} at sample {row}")
         object.__setattr__(self, "signals", MappingProxyType(frozen))
         object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
 
@@ -189,7 +203,13 @@ class Record(Value, Summarised):
         The samples relative to the first, divided by their range and rounded to 10⁻⁶, and the range in SI
         units are hashed: the fingerprint does not depend on file name, unit and mapping of commands.
         """
-        return fingerprint(self.displacement, UNITS[self.unit].factor)
+        relative = self.displacement - self.displacement[0]
+        peak_to_peak = float(np.ptp(relative))
+        shape = relative / (peak_to_peak or 1.0)
+        # The irrational offset moves round decimals away from the limits of rounding.
+        steps = np.round(shape / FINGERPRINT_STEP + 1 / np.pi).astype(np.int64)
+        size = f"{peak_to_peak * UNITS[self.unit].factor:.6e}"
+        return hashlib.sha256(size.encode() + steps.tobytes()).hexdigest()
 
     def slice(self, start: int, stop: int, *, name: str | None = None, kind: str | None = None) -> "Record":
         """Return samples `start:stop` as a new record."""
@@ -323,6 +343,19 @@ class Record(Value, Summarised):
         return record_summary(self)
 
 
+def _read_only(samples: np.ndarray, name: str) -> np.ndarray:
+    """Return read-only samples: without a copy if they are read-only already."""
+    base = samples if getattr(samples, "base", None) is None else samples.base
+    if isinstance(base, np.ndarray) and samples.dtype == np.float64 and not base.flags.writeable:
+        return samples
+    try:
+        array = np.array(samples, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise checks.input_error(name, "numbers", samples) from error
+    array.setflags(write=False)
+    return array
+
+
 def resampled(
     signals: Mapping[str, np.ndarray], old_times_s: np.ndarray, new_times_s: np.ndarray
 ) -> dict[str, np.ndarray]:
@@ -332,11 +365,7 @@ def resampled(
 
     Args:
         signals: role to samples, each of shape [N].
-        old_times_s: time of the samples, s, shape [N], increasing.
-        new_times_s: time of the new samples, s, shape [M].
-
-    Returns:
-        Role to samples, each of shape [M].
+        old_times_s, new_times_s: s, shapes [N] and [M], increasing.
     """
     rows = held_rows(old_times_s, new_times_s)
     return {

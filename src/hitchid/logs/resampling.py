@@ -65,13 +65,7 @@ class LogSection:
 
 
 def unique_stamp_rows(time_s: np.ndarray, source: object, *, column: str, line_of: LineOf) -> np.ndarray:
-    """Return the rows whose time differs from that of the row before, indices of shape [M].
-
-    Args:
-        time_s: time stamps, s, shape [N].
-        source: the log's name, for messages.
-        column: the time column's name, for messages.
-        line_of: returns the line of a row in the file; None for a format without lines.
+    """Return the rows whose time, s, differs from that of the row before, indices of shape [M].
 
     Raises:
         LogError: time is not finite, decreases, is constant, or has steps below 1 ns or infinite ones.
@@ -111,10 +105,6 @@ def spread_stamps(time_s: np.ndarray, position: np.ndarray) -> tuple[np.ndarray,
     A clock that is read in steps longer than the sampling time stamps several samples alike. They were
     sampled evenly where every stamp is within its step of one line over the rows, and anew where the
     displacement differs within stamps.
-
-    Args:
-        time_s: time stamps, s, shape [N].
-        position: displacement, of the same shape.
     """
     intervals = np.diff(time_s)
     rows = np.flatnonzero(intervals) + 1  # first rows of all stamps but the first
@@ -171,11 +161,6 @@ def sections(
     times; and up to 1 s or ten sampling times, if no command changes over it by more than a tenth of its
     range and the travel agrees with the speeds before and after within 5 % of its range. Any other gap
     splits the log.
-
-    Args:
-        time_s: increasing time stamps, s, shape [N].
-        commands: role to command, each of shape [N].
-        position: measured displacement, shape [N].
     """
     intervals = np.diff(time_s)
     if intervals.size == 0:
@@ -192,15 +177,6 @@ def sections(
             continue
         log_sections.append(_section(time_s, start, stop, median))
     return log_sections
-
-
-def _gap_notices(time_s: np.ndarray, start: int, median: float) -> tuple[Notice, ...]:
-    """Return the notice of the gap before a section; none before the first."""
-    if start == 0:
-        return ()
-    gap = time_s[start] - time_s[start - 1]
-    sentence = f"split at {time_s[start]:g} s: a gap of {gap:.3g} s, {gap / median:.1f} sampling times"
-    return (Notice(AFTER_GAP, sentence),)
 
 
 class _GapBridging:
@@ -236,26 +212,31 @@ def uniform(stamps: np.ndarray, step_s: float) -> np.ndarray:
 
 
 def _section(time_s: np.ndarray, start: int, stop: int, median: float) -> LogSection:
-    stamps, notices = time_s[start:stop], _gap_notices(time_s, start, median)
+    stamps, notices = time_s[start:stop], ()
+    if start > 0:
+        gap = time_s[start] - time_s[start - 1]
+        sentence = f"split at {time_s[start]:g} s: a gap of {gap:.3g} s, {gap / median:.1f} sampling times"
+        notices = (Notice("gap-split", sentence),)
     intervals = np.diff(stamps)
     grid_indices = np.concatenate([[0], np.cumsum(np.maximum(1, np.rint(intervals / median)))])
-    step = _nominal_step(stamps, int(grid_indices[-1]))
+    # The mean step, rounded to four digits where the drift stays below the grid tolerance.
+    steps = int(grid_indices[-1])
+    step = float(stamps[-1] - stamps[0]) / steps
+    rounded = float(f"{step:.4g}")
+    step = rounded if abs(rounded - step) * steps <= GRID_TOLERANCE * step else step
     deviation = np.max(np.abs(stamps - stamps[0] - step * grid_indices)) / step
     if deviation <= GRID_TOLERANCE and grid_indices[-1] == stamps.size - 1:
         return LogSection(start, stop, step, resampled=False, notices=notices)
     # For irregular stamps a step of two digits is accurate enough, and equal for similar logs.
     step = step if deviation <= GRID_TOLERANCE else float(f"{median:.2g}")
     clock = _quality(stamps, step, median)
+    gap_text = f", the longest gap is {clock.longest_gap_s:.3g} s" if clock.longest_gap_s else ""
     sentence = (
         f"resampled: the clock jitters by {clock.jitter:.1%} of {step:.4g} s"
-        f"{_gap_text(clock)}; {clock.interpolated_share:.1%} of the samples are interpolated"
+        f"{gap_text}; {clock.interpolated_share:.1%} of the samples are interpolated"
     )
     notices = (*notices, Notice("clock-resampled", sentence))
     return LogSection(start, stop, step, resampled=True, notices=notices, clock=clock)
-
-
-def _gap_text(clock: ClockQuality) -> str:
-    return f", the longest gap is {clock.longest_gap_s:.3g} s" if clock.longest_gap_s else ""
 
 
 def _quality(stamps: np.ndarray, step: float, median: float) -> ClockQuality:
@@ -270,11 +251,3 @@ def _quality(stamps: np.ndarray, step: float, median: float) -> ClockQuality:
         longest_gap_s=longest if longest > GAP_FACTOR * median else 0.0,
         interpolated_share=float(np.mean(distance > GRID_TOLERANCE * step)),
     )
-
-
-def _nominal_step(stamps: np.ndarray, steps: int) -> float:
-    """Return the mean step, rounded to four digits where the drift stays below the grid tolerance."""
-    step = float(stamps[-1] - stamps[0]) / steps
-    rounded = float(f"{step:.4g}")
-    drift = abs(rounded - step) * steps
-    return rounded if drift <= GRID_TOLERANCE * step else step

@@ -65,12 +65,7 @@ EXPECTED: Mapping[str, str] = MappingProxyType(
 
 
 def describe(error: ValidationError, model: type[BaseModel] | None = None) -> str:
-    """Return the first error of a validation as one sentence that names the key.
-
-    Args:
-        error: of the validation.
-        model: the validated model, whose keys are compared with one that is not known.
-    """
+    """Return the first error of a validation as one sentence that names the key."""
     first = error.errors(include_url=False)[0]
     kind, location = first["type"], first["loc"]
     key = _truncated(".".join(map(str, location)) or "settings")
@@ -88,23 +83,16 @@ def describe(error: ValidationError, model: type[BaseModel] | None = None) -> st
 
 
 def _suggestion(name: str, location: tuple[int | str, ...], model: type[BaseModel] | None) -> str:
-    """Return the nearest known key, else all known keys, else nothing."""
-    known = _keys_at(model, location)
-    nearest = get_close_matches(name, known, n=1)
-    if nearest:
-        return f"; did you mean '{nearest[0]}'?"
-    return f"; expected one of {', '.join(known)}" if known else "; check its spelling"
-
-
-def _keys_at(model: type[BaseModel] | None, location: tuple[int | str, ...]) -> tuple[str, ...]:
-    """Return the keys of the table at a place in the settings; empty if they cannot be found."""
+    """Return the nearest key of the table at a place in the settings, else all its keys, else nothing."""
     for part in location:
-        if model is None:
-            return ()
-        if isinstance(part, str):  # a number is a place in a list of tables
+        if model is not None and isinstance(part, str):  # a number is a place in a list of tables
             field = model.model_fields.get(part)
             model = None if field is None else next(_models_in(field.annotation), None)
-    return () if model is None else tuple(model.model_fields)
+    keys = () if model is None else tuple(model.model_fields)
+    nearest = get_close_matches(name, keys, n=1)
+    if nearest:
+        return f"; did you mean '{nearest[0]}'?"
+    return f"; expected one of {', '.join(keys)}" if keys else "; check its spelling"
 
 
 def _models_in(annotation: object) -> Iterator[type[BaseModel]]:
@@ -119,24 +107,20 @@ def _is_scalar(value: object) -> bool:
 
 
 def _received(value: object) -> str:
-    if _is_scalar(value) or value is None:
-        return f", got {_printed(value)}"
+    if isinstance(value, bool):
+        return f", got {'true' if value else 'false'}"  # as in TOML
+    if value is None:
+        return ", got null"  # as in JSON; TOML has none
+    # Python prints no integer above 4300 digits; TOML allows longer ones in hexadecimal.
+    if isinstance(value, int) and abs(value) >= MAX_PRINTED:
+        return ", got a huge number"
+    if _is_scalar(value):
+        return f", got {_truncated(repr(value))}"
     return ", got a table" if isinstance(value, Mapping) else ", got a list"
 
 
 def _truncated(text: str) -> str:
     return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}…"
-
-
-def _printed(value: object) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"  # as in TOML
-    if value is None:
-        return "null"  # as in JSON; TOML has none
-    # Python prints no integer above 4300 digits; TOML allows longer ones in hexadecimal.
-    if isinstance(value, int) and abs(value) >= MAX_PRINTED:
-        return "a huge number"
-    return _truncated(repr(value))
 
 
 CAMPAIGN_FILE = "campaign.toml"
@@ -221,9 +205,13 @@ class SignalMap(Strict):
         """Convert names to columns in the log's unit, whatever unit the name ends in."""
         if not isinstance(value, list | tuple):
             return value
-        return tuple(
-            {"column": covariate} if isinstance(covariate, str) else covariate for covariate in value
-        )
+        return tuple({"column": item} if isinstance(item, str) else item for item in value)
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """Columns of displacement, commands and covariates, without the time."""
+        mapped = (self.displacement, self.command, self.lifting_command, self.lowering_command)
+        return tuple(dict.fromkeys(c.column for c in (*mapped, *self.covariates) if c is not None))
 
     @model_validator(mode="after")
     def _check_signals(self) -> "SignalMap":
@@ -257,10 +245,6 @@ def command_columns(directions: Iterable[str], units: Mapping[str, str]) -> dict
     """Return role to the column of a command in logs that this package writes.
 
     The default column where it has the unit, otherwise the role and the unit: `lifting_command_percent`.
-
-    Args:
-        directions: directions that have a command.
-        units: role to unit.
     """
     columns = {}
     for role in (COMMAND[direction] for direction in directions):

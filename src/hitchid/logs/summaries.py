@@ -38,27 +38,23 @@ def campaign_summary(campaign: Campaign) -> Summary:
     if kinds:
         units = ", ".join(f"{role} in {unit}" for role, unit in campaign.units.items())
         title += f" at {campaign.step_s:g} s: {units}"
+    rows, pictures = [], []
+    for kind in kinds:
+        tests = campaign.of_kind(kind)
+        held_out = str(len(campaign.held_out(kind))) if kind in (*DIRECTIONS, CYCLE) else ""
+        duration = f"{sum(map(_duration_s, tests)):.4g} s"
+        names = first_to_last([record.name for record in tests])
+        rows.append((kind, str(len(tests)), held_out, duration, names))
+        roles = [role for role in (DISPLACEMENT, *COMMAND.values()) if role in tests[0].signals]
+        pictures.append(_picture(tests[0], roles, f"displacement and commands of {tests[0].name}"))
     left_out = [f"left out: {item.name}: {item.reason}" for item in campaign.left_out]
     return Summary(
         title,
         ("kind", "tests", "held out", "duration", "names"),
-        tuple(_kind_row(campaign, kind) for kind in kinds),
+        tuple(rows),
         first_notes(left_out, MAX_LEFT_OUT, "left_out"),
-        tuple(_test_picture(campaign.of_kind(kind)[0]) for kind in kinds),
+        tuple(pictures),
     )
-
-
-def _kind_row(campaign: Campaign, kind: str) -> tuple[str, ...]:
-    tests = campaign.of_kind(kind)
-    held_out = str(len(campaign.held_out(kind))) if kind in (*DIRECTIONS, CYCLE) else ""
-    duration = f"{sum(map(_duration_s, tests)):.4g} s"
-    return kind, str(len(tests)), held_out, duration, first_to_last([record.name for record in tests])
-
-
-def _test_picture(record: Record) -> str:
-    """Return displacement and commands of a test as a small picture."""
-    roles = [role for role in (DISPLACEMENT, *COMMAND.values()) if role in record.signals]
-    return _picture(record, roles, f"displacement and commands of {record.name}")
 
 
 def _picture(record: Record, roles: Sequence[str], label: str) -> str:

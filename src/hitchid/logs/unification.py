@@ -49,12 +49,7 @@ class LeftOut(Value):
 def split_usable(
     items: Iterable[tuple[str, Item]], work: Callable[[Item], Result], *, strict: bool
 ) -> tuple[list[Result], list[LeftOut]]:
-    """Return the results of usable items, and the items that cannot be used.
-
-    Args:
-        items: name and item.
-        work: raises `InputError` for an item that cannot be used.
-        strict: whether the first such item is an error for all.
+    """Return the results of usable items by name, and those for which `work` raises `InputError`.
 
     Raises:
         SettingsError: a settings file is wrong.
@@ -74,13 +69,7 @@ def split_usable(
 
 
 def left_out_notices(left_out: Sequence[LeftOut], total: int, what: str) -> tuple[Notice, ...]:
-    """Return a notice for each reason with the names concerned, and one with the count.
-
-    Args:
-        left_out: the items that are not used.
-        total: number of all items.
-        what: kind of item, such as `logs`.
-    """
+    """Return a notice for each reason with the names concerned, and one with the count of all `what`."""
     if not left_out:
         return ()
     names: dict[str, list[str]] = {}
@@ -113,28 +102,27 @@ MAX_RATE_RATIO = 100  # of sampling times in one campaign; above it, a unit of t
 def unified(
     records: Sequence[Record], kinds: Mapping[str, str], *, strict: bool
 ) -> tuple[list[Record], list[LeftOut]]:
-    """Return the usable records in the order of their names, on one clock, and those that are left out.
+    """Return the usable records in the order of their names, and those left out; see `Campaign.of`."""
 
-    Args:
-        records: tests, at least one.
-        kinds: pattern on names to kind; overrides the detection from the commands.
-        strict: whether one record that cannot be used is an error for all.
+    def split(
+        candidates: Iterable[Record], work: Callable[[Record], Record]
+    ) -> tuple[list[Record], list[LeftOut]]:
+        return split_usable(((record.name, record) for record in candidates), work, strict=strict)
 
-    Raises:
-        InputError: as `Campaign.of`.
-    """
-    ordered = sorted(records, key=lambda record: _natural_sort_key(record.name))
-    reference = _most_common(ordered)
-    usable, mismatched = split_usable(
-        _with_names(ordered), lambda record: _to_reference_units(record, reference), strict=strict
-    )
-    step_s = _common_step(usable)
-    on_clock, off_clock = split_usable(
-        _with_names(usable), lambda record: _to_common_clock(record, step_s), strict=strict
-    )
+    def natural_order(record: Record) -> list[tuple[int, str]]:  # test-2 before test-10
+        parts = re.split(r"(\d+)", record.name)
+        return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
+
+    ordered = sorted(records, key=natural_order)
+    counts = Counter(map(_dimensions, ordered))
+    reference = max(ordered, key=lambda record: counts[_dimensions(record)])
+    usable, mismatched = split(ordered, lambda record: _to_reference_units(record, reference))
+    # The lower median of the sampling times, which is one of them.
+    step_s = float(f"{median_low(record.step_s for record in usable):.4g}")
+    on_clock, off_clock = split(usable, lambda record: _to_common_clock(record, step_s))
     scales = full_scales(on_clock)
     classified = [replace(record, kind=_kind(record, scales, kinds)) for record in on_clock]
-    moving, stationary = split_usable(_with_names(classified), _require_motion, strict=strict)
+    moving, stationary = split(classified, _require_motion)
     excluded = [*mismatched, *off_clock, *stationary]
     if not moving:
         refuse(excluded, "tests")
@@ -142,21 +130,11 @@ def unified(
     return moving, excluded
 
 
-def _with_names(records: Iterable[Record]) -> list[tuple[str, Record]]:
-    return [(record.name, record) for record in records]
-
-
 def _dimensions(record: Record) -> tuple[tuple[str, str], ...]:
     """Return displacement and commands with the dimensions of their units."""
     roles = [role for role in (DISPLACEMENT, *COMMAND.values()) if role in record.signals]
     units = [record.units.get(role, "") for role in roles]
     return tuple((r, UNITS[u].dimension if u in UNITS else u) for r, u in zip(roles, units, strict=True))
-
-
-def _most_common(records: Sequence[Record]) -> Record:
-    """Return the first record with the most common commands and dimensions."""
-    counts = Counter(map(_dimensions, records))
-    return max(records, key=lambda record: counts[_dimensions(record)])
 
 
 def _to_reference_units(record: Record, reference: Record) -> Record:
@@ -193,16 +171,6 @@ def _check_directions(records: Sequence[Record], left_out: Sequence[LeftOut], al
         ]
         if excluded and not any(record.kind in (direction, CYCLE) for record in records):
             refuse(excluded, f"{direction} tests")
-
-
-def _natural_sort_key(name: str) -> list[tuple[int, str]]:
-    """Return a sorting key that puts test-2 before test-10."""
-    return [(int(token), "") if token.isdecimal() else (-1, token) for token in re.split(r"(\d+)", name)]
-
-
-def _common_step(records: Sequence[Record]) -> float:
-    """Return the lower median of the sampling times, which is one of them."""
-    return float(f"{median_low(record.step_s for record in records):.4g}")
 
 
 def _to_common_clock(record: Record, step_s: float) -> Record:

@@ -34,9 +34,8 @@ from hitchid.logs.audit.context import (
 )
 from hitchid.logs.audit.end_stops import end_stops
 from hitchid.logs.audit.feedback import feedback
-from hitchid.logs.audit.resolution import noisy, quantisation, update_rate
+from hitchid.logs.audit.resolution import jumps, noisy, quantisation, spikes, update_rate
 from hitchid.logs.audit.signal_checks import stuck_sensors, units, units_of_logs
-from hitchid.logs.audit.spikes import jumps, spikes
 from hitchid.logs.campaign import Campaign
 
 MIN_MERGED = 4  # records with the same finding, from which on they are merged (chosen)
@@ -94,12 +93,7 @@ def audit(campaign: Campaign) -> tuple[AuditFinding, ...]:
         findings += [finding for check in CAMPAIGN_CHECKS for finding in check(context)]
     order = {record.name: rank for rank, record in enumerate(campaign.records)}
     severities = {severity: rank for rank, severity in enumerate(Severity)}
-    merged = _merged(findings, len(campaign.records))
-    return tuple(sorted(merged, key=lambda f: (severities[f.severity], f.check, order.get(f.record, -1))))
-
-
-def _merged(findings: list[AuditFinding], total: int) -> list[AuditFinding]:
-    """Merge four or more findings that differ only in record and numbers."""
+    # Four or more findings that differ only in record and numbers become one.
     alike: dict[tuple[str, Severity, str, str], list[AuditFinding]] = {}
     for finding in findings:
         key = (finding.check, finding.severity, finding.signal, finding.advice)
@@ -110,6 +104,7 @@ def _merged(findings: list[AuditFinding], total: int) -> list[AuditFinding]:
         if len(names) < MIN_MERGED:
             merged += group
             continue
-        what = f"in {len(names)} of {total} tests ({join_names(names)}); in {names[0]}: {group[0].what}"
+        count = f"in {len(names)} of {len(campaign.records)} tests ({join_names(names)})"
+        what = f"{count}; in {names[0]}: {group[0].what}"
         merged.append(AuditFinding(check, severity, "", signal, (), what, advice, tuple(group)))
-    return merged
+    return tuple(sorted(merged, key=lambda f: (severities[f.severity], f.check, order.get(f.record, -1))))

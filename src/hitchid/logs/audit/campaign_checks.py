@@ -11,9 +11,9 @@ from hitchid.logs.audit.context import (
     command_unit,
     join_names,
     travel,
-    true_intervals,
 )
 from hitchid.logs.kinds import ramp_direction
+from hitchid.logs.not_measured import true_intervals
 from hitchid.logs.record import COMMAND, CYCLE, DIRECTIONS, DISPLACEMENT, IDLE, RAMP
 
 # Checks of the excitation: levels, changes, motion, time, and number of tests.
@@ -156,38 +156,26 @@ def too_few_tests(context: CampaignContext) -> list[AuditFinding]:
     the tests the command stays below 1.2 times that at which ramps start motion.
     """
     campaign, findings = context.campaign, []
-    directions = context.tests[0].record.directions
-    mixed = bool(context.of_kind(CYCLE))
-    for direction in directions:
+    for direction in context.tests[0].record.directions:
         tests, ramps = context.of_kind(direction), campaign.ramps(direction)
-        strokes = len(tests) + sum(_stroke_count(test, direction) for test in context.of_kind(CYCLE))
+        mixed = context.of_kind(CYCLE)
+        strokes = len(tests) + sum(true_intervals(test.active(direction))[0].size for test in mixed)
         if strokes == 0 and not ramps:
-            findings.append(
-                _direction_finding(
-                    direction,
-                    Severity.NOTE,
-                    f"{direction} is never commanded",
-                    "this direction cannot be identified",
-                )
-            )
+            what, advice = f"{direction} is never commanded", "this direction cannot be identified"
+            findings.append(_direction_finding(direction, Severity.NOTE, what, advice))
             continue
         if not ramps:
             what = f"there is no slow {direction} ramp: the dead zone from tests has a larger error"
-            findings.append(
-                _direction_finding(direction, Severity.NOTE, what, "add two or three slow ramps from zero")
-            )
+            advice = "add two or three slow ramps from zero"
+            findings.append(_direction_finding(direction, Severity.NOTE, what, advice))
         if strokes < FEWEST_FOR_VARIANCE:
             what = f"{direction} tests or strokes: {strokes}, too few to estimate the uncertainty"
-            findings.append(
-                _direction_finding(direction, Severity.NOTE, what, f"measure at least {FEWEST_FOR_VARIANCE}")
-            )
+            advice = f"measure at least {FEWEST_FOR_VARIANCE}"
+            findings.append(_direction_finding(direction, Severity.NOTE, what, advice))
         if tests and not campaign.held_out(direction) and not (mixed and campaign.held_out(CYCLE)):
             what = f"no {direction} test is held out: the accuracy of the model cannot be validated"
-            findings.append(
-                _direction_finding(
-                    direction, Severity.NOTE, what, "name tests to hold out under [split] in campaign.toml"
-                )
-            )
+            advice = "name tests to hold out under [split] in campaign.toml"
+            findings.append(_direction_finding(direction, Severity.NOTE, what, advice))
         findings += _weak_commands(context, direction)
     return findings
 
@@ -208,11 +196,8 @@ def _weak_commands(context: CampaignContext, direction: str) -> list[AuditFindin
         f"in {len(weak)} of {len(tests)} tests the {direction} command stays below {ABOVE_DEAD_ZONE:g} times "
         f"the {zone:.3g} {unit} at which motion starts in ramps ({join_names(weak)})"
     )
-    return [
-        _direction_finding(
-            direction, Severity.WARNING, what, "run tests at commands well above the dead zone"
-        )
-    ]
+    advice = "run tests at commands well above the dead zone"
+    return [_direction_finding(direction, Severity.WARNING, what, advice)]
 
 
 def _onset_command(context: RecordContext, direction: str) -> float:
@@ -225,13 +210,8 @@ def _onset_command(context: RecordContext, direction: str) -> float:
     return float(np.abs(context.record.command(direction)[onset]))
 
 
-def _stroke_count(context: RecordContext, direction: str) -> int:
-    return int(true_intervals(context.active(direction))[0].size)
-
-
 def _direction_finding(direction: str, severity: Severity, what: str, advice: str) -> AuditFinding:
-    check = "excitation" if direction in DIRECTIONS else "campaign"
-    return AuditFinding(check, severity, "", COMMAND[direction], (), what, advice)
+    return AuditFinding("excitation", severity, "", COMMAND[direction], (), what, advice)
 
 
 COMPARABLE = 0.25  # of the median; largest deviation of a test's mean command (chosen)
@@ -354,38 +334,29 @@ def ramp_onsets(context: CampaignContext) -> list[AuditFinding]:
     """
     findings = []
     for direction in DIRECTIONS:
-        ramps = _ramps(context, direction)
+        ramps = [test for test in context.of_kind(RAMP) if ramp_direction(test.record) == direction]
         if len(ramps) < 2:
             continue
         tops = [float(np.max(np.abs(test.record.command(direction)))) for test in ramps]
         rates = [top / test.quality.duration_s for top, test in zip(tops, ramps, strict=True)]
-        similar_ramps = [
-            test
-            for test, rate in zip(ramps, rates, strict=True)
-            if abs(rate / np.median(rates) - 1) <= SAME_RATE
-        ]
-        shortest = min((test.quality.peak_to_peak for test in similar_ramps), default=0.0)
-        if len(similar_ramps) < 2 or not shortest > 2 * max(
-            test.quality.noise_bound for test in similar_ramps
-        ):
+        usual = np.median(rates)
+        similar = [r for r, rate in zip(ramps, rates, strict=True) if abs(rate / usual - 1) <= SAME_RATE]
+        shortest = min((test.quality.peak_to_peak for test in similar), default=0.0)
+        if len(similar) < 2 or not shortest > 2 * max(test.quality.noise_bound for test in similar):
             continue
-        onsets = [_onset(test, direction, shortest / 2) for test in similar_ramps]
+        onsets = [_onset(test, direction, shortest / 2) for test in similar]
         middle = float(np.median(onsets))
         if not max(onsets) - min(onsets) > ONSET_SPREAD * middle:
             continue
         unit = command_unit(context.tests[0].record, direction)
-        names = join_names([test.record.name for test in similar_ramps])
+        names = join_names([test.record.name for test in similar])
         what = (
-            f"{len(similar_ramps)} equal {direction} ramps start motion between "
+            f"{len(similar)} equal {direction} ramps start motion between "
             f"{min(onsets):.3g} and {max(onsets):.3g} {unit} ({names})"
         )
         advice = "repeat the ramps with warm oil and the same load; their mean is used as dead zone"
         findings.append(AuditFinding("dead zone", Severity.WARNING, "", COMMAND[direction], (), what, advice))
     return findings
-
-
-def _ramps(context: CampaignContext, direction: str) -> list[RecordContext]:
-    return [test for test in context.of_kind(RAMP) if ramp_direction(test.record) == direction]
 
 
 def _onset(context: RecordContext, direction: str, distance: float) -> float:

@@ -136,28 +136,29 @@ def gaps(context: CampaignContext) -> list[AuditFinding]:
         base, separator, number = test.record.name.rpartition("@")
         if separator and number.isdecimal():
             tests_by_log.setdefault(base, []).append(test)
-    return [finding for base, tests in tests_by_log.items() for finding in _gaps_of(base, tests)]
-
-
-def _gaps_of(base: str, tests: list[RecordContext]) -> list[AuditFinding]:
-    tests = sorted(tests, key=lambda test: test.record.start_s)
-    ends = [test.record.start_s + test.quality.duration_s for test in tests]
-    begins = [test.record.start_s for test in tests]
-    lost = [
-        (round(end, 6), round(begin, 6))
-        for end, begin in zip(ends[:-1], begins[1:], strict=True)
-        if begin > end
-    ]
-    total, missing = ends[-1] - begins[0], sum(b - a for a, b in lost)
-    if not lost or not total > 0:
-        return []
-    severity = Severity.WARNING if missing > MUCH_LOST * total else Severity.NOTE
-    what = (
-        f"the log '{base}' has {len(lost)} gap{'s' * (len(lost) > 1)}: "
-        f"{missing:.3g} s of {total:.4g} s are lost ({missing / total:.1%})"
-    )
-    advice = "check why the logger lost samples; a part after a gap is used from its first stroke out of rest"
-    return [AuditFinding("gaps", severity, tests[0].record.name, "", tuple(lost), what, advice)]
+    findings = []
+    for base, parts in tests_by_log.items():
+        tests = sorted(parts, key=lambda test: test.record.start_s)
+        begins = [test.record.start_s for test in tests]
+        ends = [test.record.start_s + test.quality.duration_s for test in tests]
+        lost = [
+            (round(end, 6), round(begin, 6))
+            for end, begin in zip(ends[:-1], begins[1:], strict=True)
+            if begin > end
+        ]
+        total, missing = ends[-1] - begins[0], sum(b - a for a, b in lost)
+        if not lost or not total > 0:
+            continue
+        severity = Severity.WARNING if missing > MUCH_LOST * total else Severity.NOTE
+        what = (
+            f"the log '{base}' has {len(lost)} gap{'s' * (len(lost) > 1)}: "
+            f"{missing:.3g} s of {total:.4g} s are lost ({missing / total:.1%})"
+        )
+        advice = (
+            "check why the logger lost samples; a part after a gap is used from its first stroke out of rest"
+        )
+        findings.append(AuditFinding("gaps", severity, tests[0].record.name, "", tuple(lost), what, advice))
+    return findings
 
 
 LONGEST_LAG_S = 1.0  # s, search range to either side (chosen)
@@ -231,14 +232,9 @@ def _fit(context: RecordContext, directions: tuple[str, ...], role: str) -> tupl
 
 
 def lag_of(command: np.ndarray, current: np.ndarray, *, step_s: float) -> tuple[float, float] | None:
-    """Return the lag of a current behind a command.
+    """Return the lag of a current behind a command, s, negative where it leads, and the correlation at it.
 
-    Args:
-        command, current: shape [N].
-        step_s: sampling time, s.
-
-    Returns:
-        The lag, s, negative where the current leads, and the correlation at it; None without a sharp peak.
+    None without a sharp peak.
     """
     max_lag = round(min(LONGEST_LAG_S / step_s, MAX_LAGS, command.size // 4))
     if max_lag < 2:

@@ -13,9 +13,9 @@ from hitchid.logs.audit.context import (
     command_unit,
     join_names,
     travel,
-    true_intervals,
 )
 from hitchid.logs.kinds import ACTIVE_FRACTION
+from hitchid.logs.not_measured import true_intervals
 from hitchid.logs.record import COMMAND, CYCLE, DIRECTIONS, DISPLACEMENT, LIFTING, LOWERING, RAMP, Record
 
 # Check for a signed command that rests at a reading other than zero and moves the piston both ways.
@@ -139,22 +139,31 @@ def signs(context: CampaignContext) -> list[AuditFinding]:
         travels = _travels(context, direction)
         if not travels:
             continue
-        majority_sign[direction] = (
-            1 if np.median([signed_travel for _, signed_travel in travels]) >= 0 else -1
-        )
-        typical = abs(float(np.median([signed_travel for _, signed_travel in travels])))
+        middle = float(np.median([signed_travel for _, signed_travel in travels]))
+        majority_sign[direction] = sign = 1 if middle >= 0 else -1
+        typical = abs(middle)
         opposed = [
             (test, signed_travel)
             for test, signed_travel in travels
-            if signed_travel * majority_sign[direction] < -CLEAR_OF_TYPICAL * typical
+            if signed_travel * sign < -CLEAR_OF_TYPICAL * typical
         ]
+        advice = "check the sign of the displacement and the assignment of the commands in "
         if len(travels) >= 3 and 2 * len(opposed) < len(travels):
-            findings += [
-                _contradicting(test, direction, signed_travel, len(travels))
-                for test, signed_travel in opposed
-            ]
+            for test, signed_travel in opposed:
+                what = (
+                    f"the displacement {_verb(-sign)} by {abs(signed_travel):.4g} {test.quality.unit} while "
+                    f"{direction} is commanded; in most of the {len(travels)} tests of {direction} it "
+                    f"{_verb(sign)}"
+                )
+                findings.append(test.finding("sign", Severity.FAULT, what, f"{advice}this log, or remove it"))
         elif opposed:
-            findings.append(_inconsistent(direction, opposed, len(travels)))
+            names = join_names([test.record.name for test, _ in opposed])
+            what = (
+                f"in {direction} the displacement {_verb(-sign)} in {len(opposed)} of {len(travels)} tests "
+                f"({names}) and {_verb(sign)} in the others"
+            )
+            advice += "each test"
+            findings.append(AuditFinding("sign", Severity.FAULT, "", DISPLACEMENT, (), what, advice))
     return findings + _compare_directions(majority_sign)
 
 
@@ -170,28 +179,8 @@ def _travels(context: CampaignContext, direction: str) -> list[tuple[RecordConte
     return travels
 
 
-def _verb(sign: float | int) -> str:
+def _verb(sign: int) -> str:
     return "increases" if sign > 0 else "decreases"
-
-
-def _contradicting(context: RecordContext, direction: str, signed_travel: float, tests: int) -> AuditFinding:
-    what = (
-        f"the displacement {_verb(signed_travel)} by {abs(signed_travel):.4g} {context.quality.unit} while "
-        f"{direction} is commanded; in most of the {tests} tests of {direction} it {_verb(-signed_travel)}"
-    )
-    advice = "check the sign of the displacement and the assignment of the commands in this log, or remove it"
-    return context.finding("sign", Severity.FAULT, what, advice)
-
-
-def _inconsistent(direction: str, opposed: list[tuple[RecordContext, float]], tests: int) -> AuditFinding:
-    names = join_names([test.record.name for test, _ in opposed])
-    verb, others = _verb(opposed[0][1]), _verb(-opposed[0][1])
-    what = (
-        f"in {direction} the displacement {verb} in {len(opposed)} of {tests} tests ({names}) "
-        f"and {others} in the others"
-    )
-    advice = "check the sign of the displacement and the assignment of the commands in each test"
-    return AuditFinding("sign", Severity.FAULT, "", DISPLACEMENT, (), what, advice)
 
 
 def _compare_directions(majority_sign: dict[str, int]) -> list[AuditFinding]:
@@ -270,9 +259,13 @@ def idle_commands(context: CampaignContext) -> list[AuditFinding]:
                 AuditFinding("idle command", Severity.WARNING, "", COMMAND[direction], (), what, advice)
             )
             continue
-        levels = [
-            float(np.median(idle)) for test in context.tests if (idle := _idle_command(test, direction)).size
+        # A ramp crosses zero.
+        idle = [
+            np.abs(test.record.command(direction)[~test.any_active()])
+            for test in context.tests
+            if test.record.kind != RAMP
         ]
+        levels = [float(np.median(command)) for command in idle if command.size]
         level = float(np.median(levels)) if levels else 0.0
         if level > IDLE_FRACTION * scale:
             what = f"the idle {direction} command is {level:.3g} {unit}, {level / scale:.1%} of full scale"
@@ -281,10 +274,3 @@ def idle_commands(context: CampaignContext) -> list[AuditFinding]:
                 AuditFinding("idle command", Severity.NOTE, "", COMMAND[direction], (), what, advice)
             )
     return findings
-
-
-def _idle_command(context: RecordContext, direction: str) -> np.ndarray:
-    """Return |c| where no direction is active, shape [M]; empty for a ramp, which crosses zero."""
-    if context.record.kind == RAMP:
-        return np.zeros(0)
-    return np.abs(context.record.command(direction)[~context.any_active()])

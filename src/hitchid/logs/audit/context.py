@@ -68,19 +68,6 @@ class AuditFinding:
         }
 
 
-def true_intervals(condition: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return start and stop of every interval where a condition is true.
-
-    Args:
-        condition: booleans, shape [N].
-
-    Returns:
-        First samples and one past the last, each of shape [M].
-    """
-    edges = np.flatnonzero(np.diff(condition.astype(np.int8), prepend=0, append=0))
-    return edges[::2], edges[1::2]
-
-
 def spans_of(record: Record, stretches: Iterable[tuple[int, int]]) -> tuple[tuple[float, float], ...]:
     """Return times of first and last sample of `start:stop`, s; at most the 50 longest intervals."""
     selected = list(stretches)

@@ -15,9 +15,9 @@ from hitchid.logs.audit.context import (
     join_names,
     quality,
     travel,
-    true_intervals,
 )
 from hitchid.logs.kinds import ACTIVE_FRACTION
+from hitchid.logs.not_measured import true_intervals
 from hitchid.logs.record import DIRECTIONS, RAMP, Record
 
 STANDS_S = 0.3  # s; shortest standstill, after as long under the same command: several lags (chosen)
@@ -93,25 +93,7 @@ def find_end_stop(
     if known is None:
         known = _agreed_stall([record for record in records if record.kind == direction], direction, sign)
     if known is None:
-        largest = max(float(drive.command.max()) for drive in drives)
-        moving, still, standing_at, back = [], [], [], []
-        for drive in drives:
-            is_driven = drive.command > ACTIVE_FRACTION * largest
-            is_at_end = drive.position >= farthest - max(drive.tolerance, AT_END_FRACTION * span)
-            moving.append(drive.command[is_driven & ~is_at_end & (drive.travel > drive.tolerance)])
-            stands = is_driven & (np.abs(drive.travel) <= drive.tolerance)
-            still.append(drive.command[stands & ~is_at_end])
-            back.append((drive.travel < -drive.tolerance)[is_driven])
-            standing_at.append(stands & is_at_end)
-        commands, idle = np.concatenate(moving), np.concatenate(still)
-        if not commands.size or np.mean(np.concatenate(back)) > BACK_SHARE:
-            return None
-        # One percent either way for chance: a rounding that looks like motion, a sensor that stuck.
-        least, most = np.percentile(commands, 1), np.percentile(idle, 99) if idle.size else 0.0
-        standing = [
-            at_end & (drive.command >= least * (1 - 1e-9)) & (drive.command > most)
-            for drive, at_end in zip(drives, standing_at, strict=True)
-        ]
+        standing = _pressed_at_end(drives, farthest, span)
         # Each log counts once, however long it stands there.
         levels = [np.median(d.position[rows]) for d, rows in zip(drives, standing, strict=True) if rows.any()]
         if not levels:
@@ -140,6 +122,29 @@ def find_end_stop(
             starts, stops = true_intervals(covered)
             stretches[drive.record.name] = list(zip(starts.tolist(), stops.tolist(), strict=True))
     return EndStop(sign * position, tuple(reached), stretches)
+
+
+def _pressed_at_end(drives: Sequence[_Drive], farthest: float, span: float) -> list[np.ndarray]:
+    """Return where each piston stands at the end of the travel under a command that moves it elsewhere."""
+    largest = max(float(drive.command.max()) for drive in drives)
+    moving, still, standing, back = [], [], [], []
+    for drive in drives:
+        is_driven = drive.command > ACTIVE_FRACTION * largest
+        is_at_end = drive.position >= farthest - max(drive.tolerance, AT_END_FRACTION * span)
+        moving.append(drive.command[is_driven & ~is_at_end & (drive.travel > drive.tolerance)])
+        stands = is_driven & (np.abs(drive.travel) <= drive.tolerance)
+        still.append(drive.command[stands & ~is_at_end])
+        back.append((drive.travel < -drive.tolerance)[is_driven])
+        standing.append(stands & is_at_end)
+    commands, idle = np.concatenate(moving), np.concatenate(still)
+    if not commands.size or np.mean(np.concatenate(back)) > BACK_SHARE:
+        return [np.zeros_like(rows) for rows in standing]
+    # One percent either way for chance: a rounding that looks like motion, a sensor that stuck.
+    least, most = np.percentile(commands, 1), np.percentile(idle, 99) if idle.size else 0.0
+    return [
+        at_end & (drive.command >= least * (1 - 1e-9)) & (drive.command > most)
+        for drive, at_end in zip(drives, standing, strict=True)
+    ]
 
 
 def _agreed_stall(records: Sequence[Record], direction: str, sign: int) -> float | None:

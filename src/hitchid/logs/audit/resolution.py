@@ -1,4 +1,4 @@
-"""Checks of the displacement's resolution: quantum, noise and update rate."""
+"""Checks of the displacement's resolution and of changes that no piston makes: spikes and jumps."""
 
 import numpy as np
 
@@ -14,6 +14,18 @@ FEWEST_HOPS = 10  # isolated changes (chosen)
 HOP_STEPS = 4.0  # quanta or σ of noise; smaller changes may be rounding
 MAX_SPACING_RATIO = 1.5  # 90th percentile over median of the spacing; up to it, even (chosen)
 MAX_SAMPLES = 2**20  # samples examined, to limit time and memory (chosen)
+
+# Spikes and jumps.
+SPIKE_SIGMAS = 8.0  # σ of the noise of one sample (chosen)
+FASTER_THAN_MOTION = 3.0  # times the fast one-step motion (chosen)
+FAST_FRACTION = 0.99  # quantile of one-step motions; the rest may be spikes (chosen)
+LONGEST_SPIKE = 3  # samples (chosen)
+MIN_SPIKE_FRACTION = 0.002  # of the range; smallest height (chosen)
+RETURNED_FRACTION = 0.5  # of the height; largest remainder after a spike (chosen)
+MOST_SPIKES_FRACTION = 0.02  # of the steps; with more, large steps are normal for the sensor (chosen)
+JUMP_FACTOR = 5.0  # times the neighbouring steps; a piston accelerates over several samples
+JUMP_AROUND = 5  # steps compared before and after (chosen)
+JUMP_FRACTION = 0.01  # of the range; smallest jump (chosen)
 
 
 def quantisation(context: RecordContext) -> list[AuditFinding]:
@@ -37,30 +49,25 @@ def quantisation(context: RecordContext) -> list[AuditFinding]:
                 "use a finer sensor or converter, or log more digits",
             )
         )
-    return findings + _below_resolution(context, step)
-
-
-def _below_resolution(context: RecordContext, step: float) -> list[AuditFinding]:
-    quality = context.quality
     moving = context.any_active()[:-1]
     samples = int(np.count_nonzero(moving))
     if not samples or quality.noise > HIDDEN_NOISE * step:
-        return []
+        return findings
     motion = np.abs(np.diff(context.record.displacement))
     mean_motion = float(np.sum(motion, where=moving)) / samples
     still_share = float(np.count_nonzero(moving & (motion < step / 2))) / samples
-    if not (0 < mean_motion < step / 2 and still_share > 0.5):
-        return []
-    return [
-        context.finding(
-            "quantisation",
-            Severity.NOTE,
-            f"in {still_share:.0%} of the commanded samples the displacement does not change: it is "
-            f"quantised in steps of {step:.3g} {quality.unit}; "
-            f"it moves {mean_motion:.2g} {quality.unit} per sample",
-            "compare models by free runs, not by one-step errors; or log more digits",
+    if 0 < mean_motion < step / 2 and still_share > 0.5:
+        findings.append(
+            context.finding(
+                "quantisation",
+                Severity.NOTE,
+                f"in {still_share:.0%} of the commanded samples the displacement does not change: it is "
+                f"quantised in steps of {step:.3g} {quality.unit}; "
+                f"it moves {mean_motion:.2g} {quality.unit} per sample",
+                "compare models by free runs, not by one-step errors; or log more digits",
+            )
         )
-    ]
+    return findings
 
 
 def noisy(context: RecordContext) -> list[AuditFinding]:
@@ -100,10 +107,15 @@ def update_rate(context: RecordContext) -> list[AuditFinding]:
         )
         return [context.finding("sampling", Severity.WARNING, what, advice)]
     steps = np.diff(context.record.displacement[:MAX_SAMPLES])
-    hop, _ = _hops(steps)
-    if hop is None or not hop >= HOP_STEPS * max(quality.quantum or 0.0, quality.noise):
+    changes = np.flatnonzero(steps)
+    spacing = np.diff(changes)
+    isolated = (spacing[:-1] > REPEATS) & (spacing[1:] > REPEATS)
+    if np.count_nonzero(isolated) < FEWEST_HOPS:
         return []
-    share = np.count_nonzero(steps) / steps.size
+    hop = float(np.median(np.abs(steps[changes[1:-1][isolated]])))
+    if not hop >= HOP_STEPS * max(quality.quantum or 0.0, quality.noise):
+        return []
+    share = changes.size / steps.size
     what = (
         f"the displacement changes in {share:.1%} of the samples and is constant in between; in slow motion "
         f"it jumps by {hop:.2g} {quality.unit} (range {context.campaign_range:.4g} {quality.unit})"
@@ -130,10 +142,99 @@ def update_interval(record: Record, quality: Quality) -> float | None:
     return float(middle) * record.step_s if is_even and is_motion else None
 
 
-def _hops(steps: np.ndarray) -> tuple[float | None, np.ndarray]:
-    """Return the median size of isolated changes, None with few of them, and the spacing of all changes."""
-    spacing = np.diff(np.flatnonzero(steps))
-    isolated = (spacing[:-1] > REPEATS) & (spacing[1:] > REPEATS)
-    if np.count_nonzero(isolated) < FEWEST_HOPS:
-        return None, spacing
-    return float(np.median(np.abs(steps[np.flatnonzero(steps)[1:-1][isolated]]))), spacing
+def spikes(context: RecordContext) -> list[AuditFinding]:
+    """Find spikes of one to three samples.
+
+    A spike is two steps y[k+1] − y[k] of opposite sign, at most three samples apart, after which less than
+    half of the height remains. Both exceed 8 √2 σ + 2 q, three times the 99th percentile of all steps (no
+    piston is that fast) and 0.2 % of the range. If more than 2 % of all steps are so large, none is reported.
+    """
+    steps = np.diff(context.record.displacement)
+    large = _large_steps(context, steps)
+    if large.size < 2 or large.size > MOST_SPIKES_FRACTION * steps.size:
+        return []
+    pairs, heights = _pairs(context.record.displacement, steps, large)
+    if not pairs:
+        return []
+    first_s, unit = context.record.start_s + pairs[0][0] * context.record.step_s, context.quality.unit
+    return [
+        context.finding(
+            "spikes",
+            Severity.WARNING,
+            f"{len(pairs)} spike{'s' * (len(pairs) > 1)} of up to {max(heights):.3g} {unit} in the "
+            f"displacement, first at {first_s:.6g} s",
+            (
+                "check the sensor's cable, shield and slider; remove the spikes from the log: "
+                "the identification treats them as real motion"
+            ),
+            intervals=pairs,
+        )
+    ]
+
+
+def jumps(context: RecordContext) -> list[AuditFinding]:
+    """Find jumps: large single steps of the displacement without motion before or after.
+
+    A jump is a step as large as those of spikes, above 1 % of the range and five times larger than any of the
+    five steps before and after: a piston accelerates over several samples, a slipping sensor does not.
+    """
+    steps = np.diff(context.record.displacement)
+    large = _large_steps(context, steps)
+    if large.size == 0 or large.size > MOST_SPIKES_FRACTION * steps.size:
+        return []
+    offsets = np.array([k for k in range(-JUMP_AROUND, JUMP_AROUND + 1) if k])
+    neighbours = large[:, None] + offsets
+    valid_neighbours = np.where((neighbours >= 0) & (neighbours < steps.size), neighbours, large[:, None] + 1)
+    neighbour_steps = np.abs(steps[np.clip(valid_neighbours, 0, steps.size - 1)])
+    isolated = np.abs(steps[large]) > JUMP_FACTOR * neighbour_steps.max(axis=1)
+    significant = np.abs(steps[large]) > JUMP_FRACTION * context.quality.peak_to_peak
+    inside = (large >= JUMP_AROUND) & (large < steps.size - JUMP_AROUND)
+    jump_samples = large[isolated & significant & inside]
+    if jump_samples.size == 0:
+        return []
+    largest = float(steps[jump_samples][np.argmax(np.abs(steps[jump_samples]))])
+    first_s = context.record.start_s + float(jump_samples[0]) * context.record.step_s
+    return [
+        context.finding(
+            "jumps",
+            Severity.WARNING,
+            f"the displacement jumps {jump_samples.size} time{'s' * (jump_samples.size > 1)}, by up to "
+            f"{abs(largest):.3g} {context.quality.unit} from one sample to the next, "
+            f"first at {first_s:.6g} s",
+            "check for a slipping sensor, a sticking slider or lost samples; cut the log at the jump",
+            intervals=[(int(k), int(k) + 2) for k in jump_samples],
+        )
+    ]
+
+
+def _large_steps(context: RecordContext, steps: np.ndarray) -> np.ndarray:
+    """Return the indices of steps larger than noise and motion explain."""
+    if steps.size < 2 * JUMP_AROUND:
+        return np.zeros(0, dtype=np.int64)
+    step_sizes = np.abs(steps[:MAX_SAMPLES])
+    percentile_index = int(FAST_FRACTION * (step_sizes.size - 1))
+    step_sizes.partition(percentile_index)
+    quality = context.quality
+    limit = max(
+        SPIKE_SIGMAS * 2**0.5 * quality.noise + 2 * (quality.quantum or 0.0),
+        FASTER_THAN_MOTION * float(step_sizes[percentile_index]),
+        MIN_SPIKE_FRACTION * quality.peak_to_peak,
+    )
+    return np.flatnonzero(np.abs(steps) > limit) if limit > 0 else np.zeros(0, dtype=np.int64)
+
+
+def _pairs(
+    displacement: np.ndarray, steps: np.ndarray, large: np.ndarray
+) -> tuple[list[tuple[int, int]], list[float]]:
+    """Return samples `start:stop` of spikes and their heights."""
+    out, back = large[:-1], large[1:]
+    height = np.abs(steps[out])
+    remainder = np.abs(displacement[back + 1] - displacement[out])
+    spike = (back - out <= LONGEST_SPIKE) & (steps[out] * steps[back] < 0)
+    spike &= remainder < RETURNED_FRACTION * height
+    candidates = np.flatnonzero(spike)
+    # The return of one spike is not the start of the next.
+    selected = [
+        int(k) for position, k in enumerate(candidates) if position == 0 or candidates[position - 1] != k - 1
+    ]
+    return [(int(out[k]) + 1, int(back[k]) + 1) for k in selected], [float(height[k]) for k in selected]

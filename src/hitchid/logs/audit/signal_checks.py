@@ -14,8 +14,8 @@ from hitchid.logs.audit.context import (
     RecordContext,
     command_unit,
     travel,
-    true_intervals,
 )
+from hitchid.logs.not_measured import true_intervals
 from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT
 from hitchid.logs.units import UNITS
 
@@ -54,23 +54,18 @@ def stuck_sensors(context: CampaignContext) -> list[AuditFinding]:
     be left out; others are a stuck sensor: a fault.
     """
     constant_runs = [run for test in context.tests for run in _constant_runs(test)]
+    levels = [run.level for run in constant_runs]
     lowest = min(test.quality.lowest for test in context.tests)
     highest = max(test.quality.highest for test in context.tests)
+    at_end = {level for level in (lowest, highest) if levels.count(level) >= 2}
     findings = []
     for test in context.tests:
+        runs = [run for run in constant_runs if run.test is test]
         for saturated in (False, True):
-            group = [
-                run
-                for run in constant_runs
-                if run.test is test and _is_saturated(run, constant_runs, (lowest, highest)) == saturated
-            ]
+            group = [run for run in runs if (run.level in at_end) == saturated]
             if group:
                 findings.append(_constant_finding(test, group, saturated=saturated))
     return findings
-
-
-def _is_saturated(run: _ConstantRun, constant_runs: list[_ConstantRun], ends: tuple[float, float]) -> bool:
-    return run.level in ends and sum(other.level == run.level for other in constant_runs) >= 2
 
 
 def _constant_finding(context: RecordContext, group: list[_ConstantRun], *, saturated: bool) -> AuditFinding:
@@ -108,15 +103,21 @@ def _constant_runs(context: RecordContext) -> list[_ConstantRun]:
         return []
     stretches = list(zip(starts[long].tolist(), stops[long].tolist(), strict=True))
     unchanged = _unchanged_share(context, repeated, stretches)
+    log_share = np.log(max(unchanged, 1e-12))
     constant_runs: list[_ConstantRun] = []
     for direction in context.record.directions:
-        strong = _strong(context, direction)
+        strong = context.active(direction)
+        if strong.any():
+            command = np.abs(context.record.command(direction))
+            strong &= command >= STRONG * np.median(command[strong])
         speed = _speed(displacement, strong[:-1], repeated)
-        constant_runs += [
-            run
-            for run in _commanded_runs(context, direction, strong, stretches, unchanged)
-            if run.stop - run.start > shortest and _must_move(run, speed, strong)
-        ]
+        for start, stop in stretches:
+            level = float(displacement[start])
+            for begin, end in zip(*true_intervals(strong[start : stop + 1]), strict=True):
+                noiseless = bool((end - begin) * log_share > np.log(MAX_CHANCE))
+                run = _ConstantRun(context, start + int(begin), start + int(end), direction, level, noiseless)
+                if run.stop - run.start > shortest and _must_move(run, speed, strong):
+                    constant_runs.append(run)
     return constant_runs
 
 
@@ -134,35 +135,6 @@ def _unchanged_share(context: RecordContext, repeated: np.ndarray, stretches: li
     return (
         int(np.count_nonzero(repeated & resting)) / resting_count if resting_count >= FEWEST_AT_REST else 1.0
     )
-
-
-def _strong(context: RecordContext, direction: str) -> np.ndarray:
-    """Return where a command is at least 90 % of its median active value, shape [N]."""
-    strong = context.active(direction)
-    if strong.any():
-        command = np.abs(context.record.command(direction))
-        strong &= command >= STRONG * np.median(command[strong])
-    return strong
-
-
-def _commanded_runs(
-    context: RecordContext,
-    direction: str,
-    strong: np.ndarray,
-    stretches: list[tuple[int, int]],
-    unchanged: float,
-) -> list[_ConstantRun]:
-    """Return the parts of constant intervals in which the command is strong."""
-    log_share = np.log(max(unchanged, 1e-12))
-    commanded_runs = []
-    for start, stop in stretches:
-        level = float(context.record.displacement[start])
-        for begin, end in zip(*true_intervals(strong[start : stop + 1]), strict=True):
-            noiseless = bool((end - begin) * log_share > np.log(MAX_CHANCE))
-            commanded_runs.append(
-                _ConstantRun(context, start + int(begin), start + int(end), direction, level, noiseless)
-            )
-    return commanded_runs
 
 
 def _speed(displacement: np.ndarray, strong: np.ndarray, repeated: np.ndarray) -> float:
@@ -238,7 +210,7 @@ DEAD_ZONE_SHARES = np.linspace(0.0, 0.6, 13)  # of full scale, dead zones that a
 FEWEST_TO_COMPARE = 3  # tests of a direction (chosen)
 OVERDRIVE = 1.05  # of full scale, 5 % tolerance (chosen)
 
-_POSITION = (
+PLAUSIBILITY_RULES = (
     _PlausibilityRule(
         "length", lambda r: r.peak_to_peak * r.si > LONGEST_M, Severity.FAULT, "a smaller unit, such as mm"
     ),
@@ -248,8 +220,6 @@ _POSITION = (
         Severity.WARNING,
         "a larger unit, such as m, or a piston that does not move",
     ),
-)
-_ANGLE = (
     _PlausibilityRule("angle", lambda r: r.unit == "rad" and r.largest > 2 * pi, Severity.WARNING, "degrees"),
     _PlausibilityRule(
         "angle",
@@ -260,8 +230,6 @@ _ANGLE = (
     _PlausibilityRule(
         "angle", lambda r: r.unit == "deg" and 0 < r.largest <= 2 * pi, Severity.NOTE, "radians"
     ),
-)
-_RATIO = (
     _PlausibilityRule(
         "ratio", lambda r: r.unit == "1" and r.largest > OVERDRIVE, Severity.WARNING, "percent"
     ),
@@ -277,8 +245,6 @@ _RATIO = (
         Severity.WARNING,
         "a fraction, in unit 1",
     ),
-)
-_ELECTRIC = (
     _PlausibilityRule(
         "current", lambda r: r.unit == "A" and r.largest > LARGEST_CURRENT_A, Severity.FAULT, "mA"
     ),
@@ -289,8 +255,6 @@ _ELECTRIC = (
         "A",
     ),
     _PlausibilityRule("voltage", lambda r: r.largest > LARGEST_VOLTAGE_V, Severity.WARNING, "mV"),
-)
-_PRESSURE = (
     _PlausibilityRule(
         "pressure",
         lambda r: r.highest * r.si > LARGEST_PRESSURE_PA or r.lowest * r.si < LOWEST_PRESSURE_PA,
@@ -298,7 +262,6 @@ _PRESSURE = (
         "another unit of pressure, or an offset of the sensor",
     ),
 )
-PLAUSIBILITY_RULES = (*_POSITION, *_ANGLE, *_RATIO, *_ELECTRIC, *_PRESSURE)
 
 
 def units(context: CampaignContext) -> list[AuditFinding]:

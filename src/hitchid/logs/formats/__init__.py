@@ -64,7 +64,7 @@ def formats() -> Mapping[str, Format]:
     log_format = with_extensions(
         "hitchid.formats", BUILT_IN, kind=Format, name=lambda log_format: log_format.name
     )
-    exclusive = {name: known.suffixes for name, known in log_format.items() if known.is_log is None}
+    exclusive = {name: item.suffixes for name, item in log_format.items() if item.is_log is None}
     count = Counter(suffix for suffixes in exclusive.values() for suffix in suffixes)
     for suffix in (suffix for suffix in count if count[suffix] > 1):
         names = " and ".join(name for name, suffixes in exclusive.items() if suffix in suffixes)
@@ -103,7 +103,8 @@ def format_of(path: Path) -> Format:
     """
     log_format = known_format(path)
     if log_format is None:
-        others = [each.name for each in formats().values() if path.name.lower().endswith(each.suffixes)]
+        name = path.name.lower()
+        others = [other.name for other in formats().values() if name.endswith(other.suffixes)]
         problem = f"is not a log in the format {' or '.join(others)}" if others else "the format is not known"
         raise InputError(f"{path}: {problem}; expected a file ending in {known_suffixes()}")
     return log_format

@@ -1,8 +1,7 @@
 """From the frames of a log to the requested channels."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +20,6 @@ from hitchid.logs.formats.can_database import (
 from hitchid.logs.formats.can_streams import (
     BusTraffic,
     Frame,
-    Payload,
     Stream,
     available,
     collect_streams,
@@ -54,11 +52,6 @@ def read_bus(frames: Iterable[Frame], source: Path, selection: ChannelSelection)
 
     Messages of several frames (J1939 transport protocol) are not reassembled.
 
-    Args:
-        frames: in the order of the log.
-        source: the log.
-        selection: the requested signals; None selects every signal in the log.
-
     Raises:
         LogError: a database is missing or unreadable, or a requested signal is missing or never valid.
     """
@@ -68,13 +61,14 @@ def read_bus(frames: Iterable[Frame], source: Path, selection: ChannelSelection)
         raise LogError(source, "holds no CAN frames with data")
     locations, aliases = _channel_names(traffic.streams)
     matches = _match_requested(source, selection, aliases, databases, traffic, list(locations))
-    bus_reader = _BusReader(
-        source, traffic.first_s, {requested: locations[name] for requested, name in matches.items()}
-    )
-    channels, notices = bus_reader.channels(required=selection.signals is not None)
+    located = {requested: locations[name] for requested, name in matches.items()}
+    required = selection.signals is not None
+    channels, notices = _channels(source, traffic.first_s, located, required=required)
     if not channels:
         raise LogError(source, f"none of its {traffic.frame_count} frames holds a signal of the DBC files")
-    return Content(source, channels, (*databases.notices, *_frame_notices(traffic), *notices))
+    if traffic.without_data:
+        notices.insert(0, f"{traffic.without_data} error and remote frames are left out")
+    return Content(source, channels, (*databases.notices, *notices))
 
 
 def _message_filter(selection: ChannelSelection) -> Callable[[CanMessage], bool]:
@@ -166,84 +160,61 @@ def _check_not_in_log(
         raise LogError(source, problem, column=requested)
 
 
-class _FrameBlock(NamedTuple):
-    """Frames of one stream: their times, s, and their bytes."""
-
-    clock_s: np.ndarray
-    payload: Payload
-
-
-@dataclass(frozen=True)
-class _BusReader:
-    """Decoder of the requested channels: the log, its first stamp, the location of each."""
-
-    source: Path
-    first_s: float
-    locations: dict[str, _SignalLocation]
-
-    def channels(self, *, required: bool) -> tuple[dict[str, LogChannel], list[str]]:
-        """Return channels and notices; a channel without a valid sample is an error if `required`."""
-        channels: dict[str, LogChannel] = {}
-        notices, empty = list(self._stream_notices()), []
-        blocks = {
-            id(location.stream): _frame_block(location.stream, self.first_s)
-            for location in self.locations.values()
-        }
-        clocks: dict[tuple[int, bytes], np.ndarray] = {}
-        for requested, location in self.locations.items():
-            block = blocks[id(location.stream)]
-            values, present, unavailable_count = _decode(block.payload, location)
-            if not values.size:
-                if required:
-                    raise LogError(self.source, _empty_reason(location, unavailable_count), column=requested)
-                empty.append(requested)
-                continue
-            if unavailable_count:
-                total = values.size + unavailable_count
-                notices.append(
-                    f"'{requested}': {unavailable_count} of {total} samples are left out: not valid in J1939"
-                )
-            # Channels on one clock share one array: the record is cut and resampled by clocks.
-            key = id(location.stream), np.packbits(present).tobytes()
-            clock_s = clocks.setdefault(key, block.clock_s if present.all() else block.clock_s[present])
-            channels[requested] = LogChannel(values, location.signal.unit, clock_s)
-        if empty:
-            notices.append(f"left out because no sample is valid: {format_names(empty)}")
-        return channels, notices
-
-    def _stream_notices(self) -> Iterator[str]:
-        for stream in {id(location.stream): location.stream for location in self.locations.values()}.values():
-            name, count = stream.message.name, stream.short_count + len(stream.frames)
-            if stream.short_count:
-                yield (
-                    f"'{name}': {stream.short_count} of {count} frames are left out: shorter than "
-                    f"{stream.message.length} bytes"
-                )
-            if stream.j1939_assumed:
-                identifier = stream.message.identifier
-                yield (
-                    f"'{name}' was matched by its PGN {parameter_group(identifier)}, from source address "
-                    f"{stream.node:#04x}: the id in the DBC file, {identifier:#x}, has the null address"
-                )
+def _channels(
+    source: Path, first_s: float, locations: Mapping[str, _SignalLocation], *, required: bool
+) -> tuple[dict[str, LogChannel], list[str]]:
+    """Return channels and notices; a channel without a valid sample is an error if `required`."""
+    channels: dict[str, LogChannel] = {}
+    streams = {id(location.stream): location.stream for location in locations.values()}
+    notices, empty = list(_stream_notices(streams.values())), []
+    stamps_s, payloads = {}, {}
+    for key, stream in streams.items():
+        length = stream.message.length
+        stamps_s[key] = np.array([stamp_s for stamp_s, _ in stream.frames], dtype=np.float64) - first_s
+        all_bytes = b"".join(data[:length] for _, data in stream.frames)
+        payloads[key] = np.frombuffer(all_bytes, dtype=np.uint8).reshape(len(stream.frames), length)
+    clocks: dict[tuple[int, bytes], np.ndarray] = {}
+    for requested, location in locations.items():
+        stream, signal = location
+        payload, clock_s = payloads[id(stream)], stamps_s[id(stream)]
+        present = frames_with_signal(payload, signal, stream.message)
+        raw = raw_numbers(payload, signal)
+        present_count = int(present.sum())
+        if stream.node is not None:
+            present &= available(raw, signal)
+        values = physical_values(raw[present], signal)
+        unavailable_count = present_count - int(present.sum())
+        if not values.size:
+            if required:
+                raise LogError(source, _empty_reason(location, unavailable_count), column=requested)
+            empty.append(requested)
+            continue
+        if unavailable_count:
+            count = f"{unavailable_count} of {present_count} samples"
+            notices.append(f"'{requested}': {count} are left out: not valid in J1939")
+        # Channels on one clock share one array: the record is cut and resampled by clocks.
+        frames_key = id(stream), np.packbits(present).tobytes()
+        clock_s = clocks.setdefault(frames_key, clock_s if present.all() else clock_s[present])
+        channels[requested] = LogChannel(values, signal.unit, clock_s)
+    if empty:
+        notices.append(f"left out because no sample is valid: {format_names(empty)}")
+    return channels, notices
 
 
-def _frame_block(stream: Stream, first_s: float) -> _FrameBlock:
-    length = stream.message.length
-    stamps = np.array([stamp_s for stamp_s, _ in stream.frames], dtype=np.float64)
-    all_bytes = b"".join(data[:length] for _, data in stream.frames)
-    return _FrameBlock(
-        stamps - first_s, np.frombuffer(all_bytes, dtype=np.uint8).reshape(stamps.size, length)
-    )
-
-
-def _decode(payload: Payload, location: _SignalLocation) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return a signal's values, the mask of their frames, and the count of samples invalid by J1939."""
-    present = frames_with_signal(payload, location.signal, location.stream.message)
-    raw = raw_numbers(payload, location.signal)
-    present_count = int(present.sum())
-    if location.stream.node is not None:
-        present &= available(raw, location.signal)
-    return physical_values(raw[present], location.signal), present, present_count - int(present.sum())
+def _stream_notices(streams: Iterable[Stream]) -> Iterator[str]:
+    for stream in streams:
+        name, count = stream.message.name, stream.short_count + len(stream.frames)
+        if stream.short_count:
+            yield (
+                f"'{name}': {stream.short_count} of {count} frames are left out: shorter than "
+                f"{stream.message.length} bytes"
+            )
+        if stream.j1939_assumed:
+            identifier = stream.message.identifier
+            yield (
+                f"'{name}' was matched by its PGN {parameter_group(identifier)}, from source address "
+                f"{stream.node:#04x}: the id in the DBC file, {identifier:#x}, has the null address"
+            )
 
 
 def _empty_reason(location: _SignalLocation, unavailable_count: int) -> str:
@@ -252,8 +223,3 @@ def _empty_reason(location: _SignalLocation, unavailable_count: int) -> str:
     if location.stream.frames:
         return "no frame contains it: its multiplexer never selects it"
     return f"all frames of its message are shorter than {location.stream.message.length} bytes"
-
-
-def _frame_notices(traffic: BusTraffic) -> Iterator[str]:
-    if traffic.without_data:
-        yield f"{traffic.without_data} error and remote frames are left out"

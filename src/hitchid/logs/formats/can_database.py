@@ -92,10 +92,6 @@ class Databases(NamedTuple):
 def read_databases(paths: Sequence[Path], source: Path) -> Databases:
     """Read the DBC files that belong to a log.
 
-    Args:
-        paths: the DBC files.
-        source: the log, for it is what cannot be read where there are none.
-
     Raises:
         LogError: there are none, cantools is missing, or one cannot be read.
     """
@@ -105,7 +101,12 @@ def read_databases(paths: Sequence[Path], source: Path) -> Databases:
         )
         raise LogError(source, problem)
     import_optional("cantools", "can", source)
-    databases = {path: _read_database(path) for path in paths}
+    databases = {}
+    for path in paths:
+        with as_log_errors(path, "a DBC file"):
+            databases[path] = _parse(path.read_bytes())
+        if not databases[path].messages:
+            raise LogError(path, "contains no messages with signals; expected a DBC file of the bus")
     messages = _with_distinct_names({path: database.messages for path, database in databases.items()})
     notices = [
         f"{path.name}: {notice}" for path, database in databases.items() for notice in database.notices
@@ -123,14 +124,6 @@ def parameter_group(identifier: int) -> int:
 def node(identifier: int) -> int:
     """Return the source address in a 29-bit id of J1939."""
     return identifier & 0xFF
-
-
-def _read_database(path: Path) -> Databases:
-    with as_log_errors(path, "a DBC file"):
-        database = _parse(path.read_bytes())
-    if not database.messages:
-        raise LogError(path, "contains no messages with signals; expected a DBC file of the bus")
-    return database
 
 
 # A large database takes seconds, and every log of a campaign uses the same one.
@@ -170,11 +163,7 @@ def _messages(database: Any) -> Iterable[CanMessage]:
             identifier=message.frame_id,
             extended=extended,
             length=message.length,
-            signals=tuple(
-                can_signal
-                for can_signal in can_signals
-                if can_signal.bit_positions.max() < 8 * message.length
-            ),
+            signals=tuple(s for s in can_signals if s.bit_positions.max() < 8 * message.length),
             is_j1939=is_j1939,
             maybe_j1939=unmarked and not is_j1939 and node(message.frame_id) == NULL_ADDRESS,
         )

@@ -45,9 +45,6 @@ class Inventory(NamedTuple):
 def inventory(path: Path) -> Inventory:
     """Count the frames of a BLF log and check its structure.
 
-    Args:
-        path: the log.
-
     Raises:
         LogError: the file is not a BLF log, was cut short, or has no object where one is expected.
     """
@@ -60,20 +57,15 @@ def inventory(path: Path) -> Inventory:
         if size < max(header, stated_size):
             raise LogError(path, f"is truncated: holds {size} of {max(header, stated_size)} bytes")
         stream.seek(header)
-        frame_count = _count_frames(path, stream)
-    return Inventory(frame_count, closed=size - stated_size < PADDING)
-
-
-def _count_frames(path: Path, stream: BinaryIO) -> int:
-    count, rest = 0, b""
-    for kind, content in _iterate_objects(path, stream):
-        count += kind in FRAME_KINDS
-        if kind == CONTAINER_KIND:
-            container_count, rest = _count_container_frames(path, rest + _unpack(path, content))
-            count += container_count
-    if rest.strip(b"\0"):
-        raise LogError(path, "is truncated: it ends within a frame")
-    return count
+        count, rest = 0, b""
+        for kind, content in _iterate_objects(path, stream):
+            count += kind in FRAME_KINDS
+            if kind == CONTAINER_KIND:
+                container_count, rest = _count_container_frames(path, rest + _unpack(path, content))
+                count += container_count
+        if rest.strip(b"\0"):
+            raise LogError(path, "is truncated: it ends within a frame")
+    return Inventory(count, closed=size - stated_size < PADDING)
 
 
 def _iterate_objects(path: Path, stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
@@ -151,17 +143,14 @@ def raw_numbers(payload: Payload, signal: CanSignal) -> UInt64[np.ndarray, " fra
 
 def physical_values(raw: UInt64[np.ndarray, " frames"], signal: CanSignal) -> Float64[np.ndarray, " frames"]:
     """Return raw numbers in the unit of the signal."""
-    return _as_typed(raw, signal).astype(np.float64) * signal.scale + signal.offset
-
-
-def _as_typed(raw: np.ndarray, signal: CanSignal) -> np.ndarray:
+    numbers: np.ndarray = raw
     if signal.is_float:
         size = signal.length // 8
-        return raw.astype(f"u{size}").view(f"f{size}")
-    if signal.signed:
+        numbers = raw.astype(f"u{size}").view(f"f{size}")
+    elif signal.signed:
         unused = np.uint64(64 - signal.length)
-        return (raw << unused).view(np.int64) >> unused.astype(np.int64)
-    return raw
+        numbers = (raw << unused).view(np.int64) >> unused.astype(np.int64)
+    return numbers.astype(np.float64) * signal.scale + signal.offset
 
 
 def frames_with_signal(
@@ -257,13 +246,11 @@ def _message_matcher(messages: Sequence[CanMessage]) -> Callable[[int, bool], li
         if extended:
             for maybe_j1939 in (False, True):
                 group = groups.get((parameter_group(identifier), maybe_j1939), [])
-                node_messages = _messages_of_node(group, node(identifier))
-                accepted = [
-                    message
-                    for message in node_messages
+                candidates += [
+                    MessageMatch(message, node(identifier), maybe_j1939)
+                    for message in _messages_of_node(group, node(identifier))
                     if not (maybe_j1939 and message.identifier == identifier)
                 ]
-                candidates += [MessageMatch(message, node(identifier), maybe_j1939) for message in accepted]
         return candidates
 
     return matches
@@ -297,29 +284,24 @@ def collect_streams(
         count += 1
         targets = routes.get((bus, extended, identifier))
         if targets is None:
-            matched_streams = [
+            matched = [
                 streams.setdefault(
-                    (message_match.message.name, bus, *message_match[1:]),
-                    Stream(message_match.message, bus, *message_match[1:]),
+                    (message.name, bus, node_address, assumed), Stream(message, bus, node_address, assumed)
                 )
-                for message_match in matches(identifier, extended)
+                for message, node_address, assumed in matches(identifier, extended)
             ]
-            targets = routes[bus, extended, identifier] = [
-                candidate for candidate in matched_streams if message_filter(candidate.message)
-            ]
+            targets = [stream for stream in matched if message_filter(stream.message)]
+            routes[bus, extended, identifier] = targets
         for stream in targets:
             if len(data) < stream.message.length:
                 stream.short_count += 1
             else:
                 stream.frames.append((stamp_s, data))
     ids = {identifier for _, extended, identifier in routes if extended}
-    return BusTraffic(_without_assumed_duplicates(list(streams.values())), ids, first_s, without_data, count)
-
-
-def _without_assumed_duplicates(streams: Sequence[Stream]) -> list[Stream]:
-    """Remove streams assumed to be a message whose exact id is in the log."""
-    exact_names = {stream.message.name for stream in streams if not stream.j1939_assumed}
-    return [stream for stream in streams if not (stream.j1939_assumed and stream.message.name in exact_names)]
+    # A stream is not assumed to be a message whose exact id is in the log.
+    exact = {stream.message.name for stream in streams.values() if not stream.j1939_assumed}
+    kept = [s for s in streams.values() if not (s.j1939_assumed and s.message.name in exact)]
+    return BusTraffic(kept, ids, first_s, without_data, count)
 
 
 def _messages_of_node(group: Sequence[CanMessage], address: int) -> list[CanMessage]:
@@ -353,12 +335,7 @@ def is_candump(path: Path) -> bool:
 
 
 def candump_frames(lines: Iterable[str], notices: list[str]) -> Iterator[Frame]:
-    """Yield the frames of a log.
-
-    Args:
-        lines: of the log, each with its line end.
-        notices: gets a message on lines that are no frames, such as a cut one.
-    """
+    """Yield the frames of a log of whole lines, with a notice on those that are none, such as a cut one."""
     others: list[int] = []
     for number, line in enumerate(lines, start=1):
         match = LINE.fullmatch(line)

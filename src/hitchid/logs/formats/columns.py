@@ -55,11 +55,7 @@ class Columns:
         self._without_count = 0
 
     def add(self, lines: Sequence[int], columns: Sequence[Sequence[str]]) -> None:
-        """Add a block.
-
-        Args:
-            lines: of its rows.
-            columns: the cells of each column.
+        """Add a block: the lines of its rows, and the cells of each column.
 
         Raises:
             LogError: the numbers have several decimal signs.
@@ -108,9 +104,6 @@ class Columns:
 
     def content(self, units: Mapping[str, str | None]) -> Content:
         """Return the columns: name to numbers, stamps as seconds since the first.
-
-        Args:
-            units: name to unit, None for a column without one.
 
         Raises:
             LogError: there is no sample; a column holds no numbers, or more than a few cells that are none.

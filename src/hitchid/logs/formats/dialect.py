@@ -21,30 +21,11 @@ NAMES, UNITS, RASTERS, PATHS, SAMPLES = "trace_names", "trace_units", "raster", 
 TIME = "time_s"  # name given to the time, which has none in the file
 
 
-class Labels(NamedTuple):
-    """Content of the label rows.
-
-    Attributes:
-        names: of the columns, in order; the first column holds the labels.
-        units: name to unit, for columns with a unit.
-        header: line of the names, from 1.
-        first: line of the first sample, from 1.
-    """
-
-    names: tuple[str, ...]
-    units: dict[str, str]
-    header: int
-    first: int
-
-
-def labels_of(rows: Sequence[tuple[int, Sequence[str]]]) -> Labels | None:
-    """Return the content of the label rows, None for a text without them.
+def labelled_dialect(separator: str, rows: Sequence[tuple[int, Sequence[str]]]) -> "Dialect | None":
+    """Return the dialect that the label rows give, None for a text without them.
 
     A name that occurs twice is replaced by the last part of its path. The time is named `time_s`, and
     `time_s/` with the raster if there is a time for each of several rasters.
-
-    Args:
-        rows: line and cells of the first rows of a text.
     """
     labelled = {cells[0]: (line, cells) for line, cells in rows if cells and cells[0]}
     if NAMES not in labelled or SAMPLES not in labelled:
@@ -66,7 +47,7 @@ def labels_of(rows: Sequence[tuple[int, Sequence[str]]]) -> Labels | None:
             names.append(TIME if count[""] == 1 else f"{TIME}/{raster}")
     units = {name: "s" for name in names if name.startswith(TIME)}
     units |= {name: unit for name, unit in zip(names, cells(UNITS), strict=True) if name and unit}
-    return Labels(tuple(names), units, header, first)
+    return Dialect(separator, tuple(names), units, header, first)
 
 
 SEPARATORS = ("\t", ";", "|", ",", " ")
@@ -145,11 +126,6 @@ def dialect_of(text: str, source: Path, requested: Sequence[str] = ()) -> Dialec
     The separator is the one that yields most numbers or stamps. The header is one of the ten lines above the
     first two lines of numbers: the one with most of the requested names, else of the samples' width.
 
-    Args:
-        text: the beginning of the log.
-        source: its file, for messages.
-        requested: names of columns.
-
     Raises:
         LogError: the log is empty, or has no header line.
     """
@@ -157,15 +133,18 @@ def dialect_of(text: str, source: Path, requested: Sequence[str] = ()) -> Dialec
     if not first_line:
         raise LogError(source, "the file is empty; expected a header line and samples")
     rows_by_separator = {separator: _rows(text, separator) for separator in SEPARATORS}
-    counts = {candidate: _count_numbers(rows) for candidate, rows in rows_by_separator.items()}
+    counts = {
+        candidate: sum(sum(map(is_number, row.cells)) for row in rows if len(row.cells) > 1)
+        for candidate, rows in rows_by_separator.items()
+    }
     # Commas and spaces stand within numbers and stamps, too: other separators need half of their numbers.
     separator = max(SEPARATORS, key=lambda sign: counts[sign] * (1 if sign in ", " else 2))
     if not counts[separator]:
         separator = max((",", *SEPARATORS), key=lambda candidate: len(rows_by_separator[candidate][0].cells))
     rows = rows_by_separator[separator]
-    labels = labels_of(rows)
-    if labels is not None:
-        return Dialect(separator, *labels)
+    labelled = labelled_dialect(separator, rows)
+    if labelled is not None:
+        return labelled
     first_data_row = _first_sample(rows)
     header_rows = _header_rows(rows[:1] if first_data_row is None else rows[:first_data_row])
     if not header_rows:
@@ -245,11 +224,6 @@ def _rows(text: str, separator: str) -> list[_Row]:
                 rows.append(_Row(line, stripped))
             line = reader.line_num + 1
     return rows or [_Row(1, [text[:LONGEST_SHOWN]])]
-
-
-def _count_numbers(rows: Sequence[_Row]) -> int:
-    """Return the count of cells that are numbers, in rows of two cells or more."""
-    return sum(sum(map(is_number, row.cells)) for row in rows if len(row.cells) > 1)
 
 
 def _first_sample(rows: Sequence[_Row]) -> int | None:

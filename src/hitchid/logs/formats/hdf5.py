@@ -8,21 +8,24 @@ import numpy as np
 
 from hitchid.errors import LogError
 from hitchid.logs.content import ChannelSelection, Content, LogChannel
-from hitchid.logs.formats import netcdf3
-from hitchid.logs.formats.clock_units import decode_values, is_time, to_seconds, unit_attribute
 from hitchid.logs.formats.library import (
     as_log_errors,
     column_names,
     column_of,
+    decode_values,
     import_optional,
     is_matrix,
+    is_time,
     is_vector,
     match_clocked_channels,
+    to_seconds,
+    unit_attribute,
 )
 
 SUFFIXES = (".h5", ".hdf5", ".nc")
 NUMERIC_KINDS = "fiub"  # numpy's kinds of real numbers
 KIND = "an HDF5 file"
+CLASSIC_MAGIC, CLASSIC_KIND = b"CDF", "a NetCDF file"  # variables on dimensions, before HDF5
 # Name attribute of the empty dataset that NetCDF 4 stores for a dimension without coordinates.
 NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
 Dataset = Any  # of h5py, which has no types
@@ -38,19 +41,15 @@ class _Column(NamedTuple):
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the selected datasets of an HDF5 or NetCDF file.
-
-    Args:
-        path: the file.
-        selection: the requested datasets; the time is optional if each has a time scale.
+    """Read the selected datasets of an HDF5 or NetCDF file; the time is optional if each has a time scale.
 
     Raises:
         LogError: the file is damaged or was cut short, a dataset is missing or in another file, or h5py is
             not installed.
     """
     with as_log_errors(path, KIND), path.open("rb") as stream:
-        if stream.read(3) == netcdf3.MAGIC:
-            return netcdf3.read(path, selection)
+        if stream.read(3) == CLASSIC_MAGIC:
+            return _read_classic(path, selection)
     h5py = import_optional("h5py", "hdf5", path)
     with as_log_errors(path, KIND), h5py.File(path, "r") as file:
         columns = {
@@ -68,14 +67,59 @@ def read(path: Path, selection: ChannelSelection) -> Content:
             columns = {name: column for name, column in columns.items() if not column.is_alias}
         matches = match_clocked_channels(path, list(columns), selection, scales)
         clocks: dict[str, np.ndarray] = {}
-        for scale in {name: scales[name] for name in matches.values() if name in scales}.values():
-            if scale.name not in clocks:
-                clocks[scale.name] = _read_clock(path, scale)
-        channels = {
-            requested: _channel(path, name, columns[name], scales.get(name), clocks)
-            for requested, name in matches.items()
-        }
+        channels: dict[str, LogChannel] = {}
+        for requested, name in matches.items():
+            column, scale, clock_s = columns[name], scales.get(name), None
+            if scale is not None:
+                if scale.name not in clocks:
+                    stamps = decode_values(read_dataset(path, scale, scale.name), scale.attrs)
+                    clocks[scale.name] = to_seconds(stamps, unit_attribute(scale.attrs))
+                clock_s = clocks[scale.name]
+            if clock_s is not None and column.dataset == scale:
+                channels[requested] = LogChannel(clock_s, "s", clock_s)
+                continue
+            raw = read_dataset(path, column.dataset, name, column.part)
+            values = decode_values(raw, column.dataset.attrs)
+            channels[requested] = LogChannel(values, column.unit, clock_s)
     return Content(path, channels)
+
+
+def _read_classic(path: Path, selection: ChannelSelection) -> Content:
+    """Read the selected variables of a classic NetCDF file, from before HDF5."""
+    from scipy.io import netcdf_file  # not at the top: a quarter of a second
+
+    # Without memory mapping: scipy would leave the map open as long as an array uses it.
+    with as_log_errors(path, CLASSIC_KIND), netcdf_file(path, mmap=False) as file:
+        numeric_variables = {
+            name: variable
+            for name, variable in file.variables.items()
+            if variable.data.dtype.kind in "fiu" and is_vector(variable.data.shape)
+        }
+        scales = {}
+        for name, variable in numeric_variables.items():
+            scale = variable.dimensions[int(np.argmax(variable.data.shape))]
+            if scale in numeric_variables and is_time(unit_attribute(_attributes(numeric_variables[scale]))):
+                scales[name] = scale
+        matches = match_clocked_channels(path, list(numeric_variables), selection, scales)
+        clocks = {}
+        for scale in {scales[name] for name in matches.values() if name in scales}:
+            attributes = _attributes(numeric_variables[scale])
+            stamps = decode_values(numeric_variables[scale].data, attributes)
+            clocks[scale] = to_seconds(stamps, unit_attribute(attributes))
+        channels = {}
+        for requested, name in matches.items():
+            variable, clock_s = numeric_variables[name], clocks.get(scales.get(name, ""))
+            attributes = _attributes(variable)
+            if clock_s is not None and variable.dimensions == (name,):
+                channels[requested] = LogChannel(clock_s, "s", clock_s)
+            else:
+                values = decode_values(variable.data, attributes)
+                channels[requested] = LogChannel(values, unit_attribute(attributes), clock_s)
+    return Content(path, channels)
+
+
+def _attributes(variable: Any) -> Mapping[str, object]:
+    return vars(variable)["_attributes"]
 
 
 def _datasets(h5py: Any, group: Any) -> Iterator[tuple[str, Dataset]]:
@@ -187,18 +231,3 @@ def _scales(dataset: Any) -> list[Any]:
         if references is None
         else [dataset.file[reference] for reference in references[int(np.argmax(dataset.shape))]]
     )
-
-
-def _read_clock(path: Path, scale: Any) -> np.ndarray:
-    raw = read_dataset(path, scale, scale.name)
-    return to_seconds(decode_values(raw, scale.attrs), unit_attribute(scale.attrs))
-
-
-def _channel(
-    path: Path, name: str, column: _Column, scale: Dataset, clocks: Mapping[str, np.ndarray]
-) -> LogChannel:
-    clock_s = None if scale is None else clocks[scale.name]
-    if clock_s is not None and column.dataset == scale:
-        return LogChannel(clock_s, "s", clock_s)
-    raw = read_dataset(path, column.dataset, name, column.part)
-    return LogChannel(decode_values(raw, column.dataset.attrs), column.unit, clock_s)

@@ -1,7 +1,7 @@
-"""Functions shared by the readers of optional formats: import of the library, damaged files, names."""
+"""Functions shared by the readers of optional formats: libraries, damaged files, names, CF attributes."""
 
 import importlib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
@@ -11,19 +11,14 @@ import numpy as np
 
 from hitchid.errors import LogError
 from hitchid.logs.content import ChannelSelection, match_channels
+from hitchid.logs.units import UNITS, parse_unit
 
 MAX_COLUMNS = 1000  # of a table; wider arrays are pictures or maps (chosen)
 DISTRIBUTIONS = {"can": "python-can", "nptdms": "npTDMS"}
 
 
 def import_optional(module: str, extra: str, path: Path, purpose: str = "read") -> ModuleType:
-    """Return an optional module.
-
-    Args:
-        module: its name.
-        extra: the extra of this package that installs it.
-        path: the file it is needed for.
-        purpose: `read` or `write`, for the message.
+    """Return an optional module, which an extra of this package installs, to `read` or `write` a file.
 
     Raises:
         LogError: the module is not installed.
@@ -57,13 +52,7 @@ def as_log_errors(path: Path, kind: str) -> Iterator[None]:
 def match_clocked_channels(
     source: Path, names: Sequence[str], selection: ChannelSelection, clocked: Collection[str]
 ) -> dict[str, str]:
-    """Return requested name to full name; the time is optional if all requested channels have clocks.
-
-    Args:
-        source: the file.
-        names: full names of the channels that hold numbers.
-        selection: the requested channels.
-        clocked: full names of the channels with a clock in the file.
+    """Return requested name to full name; the time is optional if all requested channels are `clocked`.
 
     Raises:
         LogError: a channel is missing or ambiguous.
@@ -120,3 +109,68 @@ def unit_text(unit: object) -> str | None:
     if not isinstance(unit, str):
         return None
     return unit.strip(" \0\t\r\n") or None
+
+
+# Attributes of the CF conventions of NetCDF: units of time, scaling, fill values.
+
+
+def is_time(unit: str | None) -> bool:
+    """Return whether a unit is one of time, with or without `since ...`."""
+    return _seconds_per_unit(unit) is not None
+
+
+def to_seconds(values: np.ndarray, unit: str | None) -> np.ndarray:
+    """Return times in seconds, rounded once; unchanged if the unit is not one of time."""
+    factor = _seconds_per_unit(unit) or 1.0
+    if factor == 1.0:
+        return values
+    return values / round(1 / factor) if factor < 1.0 else values * factor
+
+
+def decode_values(raw: np.ndarray, attributes: Mapping[str, object]) -> np.ndarray:
+    """Return physical from stored numbers: scaled, shifted, NaN where filled or out of the valid range.
+
+    Args:
+        raw: as stored, any shape with one long side.
+        attributes: those of the variable; `scale_factor`, `add_offset`, `_FillValue`, `missing_value`,
+            `valid_range`, `valid_min`, `valid_max` and `_Unsigned` count.
+    """
+    stored = np.asarray(raw).ravel()
+    # NetCDF 3 has no unsigned type.
+    is_unsigned = (unit_text(attributes.get("_Unsigned")) or "").lower() == "true"
+    if is_unsigned and stored.dtype.kind == "i":
+        stored = stored.view(f"{stored.dtype.byteorder}u{stored.dtype.itemsize}")
+    values = floats(stored)
+    limits = np.asarray(attributes.get("valid_range", ())).ravel()
+    if limits.size == 2 and limits.dtype.kind in "fiu":
+        lowest, highest = limits.tolist()
+    else:
+        lowest, highest = (_number(attributes.get(name)) for name in ("valid_min", "valid_max"))
+    values[values < (-np.inf if lowest is None else float(lowest))] = np.nan
+    values[values > (np.inf if highest is None else float(highest))] = np.nan
+    for name in ("_FillValue", "missing_value"):
+        fills = np.asarray(attributes.get(name, ()))
+        if fills.dtype.kind in "fiu" and fills.size:
+            values[np.isin(stored, fills)] = np.nan
+    scale, offset = (_number(attributes.get(name)) for name in ("scale_factor", "add_offset"))
+    if scale is not None:
+        values *= scale
+    if offset is not None:
+        values += offset
+    return values
+
+
+def unit_attribute(attributes: Mapping[str, object]) -> str | None:
+    """Return the unit among the attributes, None if there is none."""
+    return unit_text(attributes.get("units")) or unit_text(attributes.get("unit"))
+
+
+def _seconds_per_unit(unit: str | None) -> float | None:
+    """Return the seconds in a unit of time, None for any other unit."""
+    unit_name = parse_unit((unit or "").partition(" since ")[0])
+    return UNITS[unit_name].factor if unit_name and UNITS[unit_name].dimension == "time" else None
+
+
+def _number(value: object) -> float | None:
+    number = np.asarray(value).ravel()
+    return float(number[0]) if number.size == 1 and number.dtype.kind in "fiu" else None

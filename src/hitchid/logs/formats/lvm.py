@@ -42,11 +42,6 @@ def read(path: Path, blocks: Iterable[str], selection: ChannelSelection) -> Cont
     counted from X0 in steps of Delta_X. Segments follow each other; where their times overlap, they start at
     the date and time of their headers.
 
-    Args:
-        path: the file.
-        blocks: its text in whole lines.
-        selection: the requested channels.
-
     Raises:
         LogError: a channel is missing, the file holds no samples, or its segments have different channels.
     """

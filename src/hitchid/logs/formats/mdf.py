@@ -9,12 +9,13 @@ import numpy as np
 
 from hitchid.errors import InputError, LogError
 from hitchid.logs.content import ChannelSelection, Content, LogChannel
-from hitchid.logs.formats.clock_units import is_time, to_seconds
 from hitchid.logs.formats.library import (
     as_log_errors,
     floats,
     import_optional,
+    is_time,
     match_clocked_channels,
+    to_seconds,
     unique_names,
     unit_text,
 )
@@ -34,11 +35,7 @@ TIME = "time_s"  # name of the master channel of written files
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the selected channels of an MDF file.
-
-    Args:
-        path: the file.
-        selection: the requested channels; the time is that of each group's master.
+    """Read the selected channels of an MDF file; the time is that of each group's master.
 
     Raises:
         LogError: the file is damaged or was cut short, a channel is missing, or asammdf is not installed.
@@ -60,11 +57,7 @@ def read(path: Path, selection: ChannelSelection) -> Content:
 
 
 def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns of doubles as one group on the clock `time_s`, in version 4.10.
-
-    Args:
-        path: the file; an existing file is replaced.
-        columns: each under a name that may end in its unit; `time_s` and at least one more.
+    """Write columns of doubles, each under a name that may end in its unit, on the clock `time_s`.
 
     Raises:
         LogError: asammdf is not installed.
@@ -91,23 +84,18 @@ def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
 
 def _channel_locations(log: Any) -> dict[str, tuple[int, int]]:
     """Return full name to group and index of each channel that holds numbers."""
-    group_names = _group_names(log)
+    group_names = [unit_text(getattr(group.channel_group, "acq_name", None)) for group in log.groups]
+    count = Counter(group_names)
     names, locations = [], []
-    for number, group in enumerate(log.groups):
+    for number, (group, group_name) in enumerate(zip(log.groups, group_names, strict=True)):
+        # A group without a unique name has its number, the only one without a name none.
+        name = group_name if group_name and count[group_name] == 1 else str(number)
+        prefix = "" if group_names == [None] else f"{name}/"
         for index, channel in enumerate(group.channels):
             if holds_numbers(log, number, index) and not _is_clock(log, number, index):
-                names.append(f"{group_names[number]}/{channel.name}" if group_names[number] else channel.name)
+                names.append(f"{prefix}{channel.name}")
                 locations.append((number, index))
     return dict(zip(unique_names(names), locations, strict=True))
-
-
-def _group_names(log: Any) -> list[str]:
-    """Return the name of each group: its number if it has no unique name."""
-    names = [unit_text(getattr(group.channel_group, "acq_name", None)) for group in log.groups]
-    if names == [None]:
-        return [""]
-    count = Counter(names)
-    return [name if name and count[name] == 1 else str(number) for number, name in enumerate(names)]
 
 
 def _master(log: Any, group: int) -> tuple[int, int] | None:

@@ -25,12 +25,7 @@ NOT_FINALIZED = "the recording was never finalized: read as far as it was writte
 
 @contextmanager
 def open_mdf(path: Path, asammdf: Any, notices: list[str]) -> Iterator[Any]:
-    """Open an MDF file with asammdf after a check; of one that was never finalized, a finalized copy.
-
-    Args:
-        path: the file.
-        asammdf: the module.
-        notices: gets a message if the file was never finalized.
+    """Open an MDF file with asammdf after a check; of one that was never finalized, a copy, with a notice.
 
     Raises:
         LogError: as `check_complete`.
@@ -48,12 +43,7 @@ def check_complete(path: Path) -> bool:
     """Follow every link of a finalized MDF file of version 4; of others check the identification only.
 
     Many loggers never finalize: the counts and lengths that they leave out follow from the file's size.
-
-    Args:
-        path: the file.
-
-    Returns:
-        Whether the file was finalized.
+    Returned is whether the file was finalized.
 
     Raises:
         LogError: the file is not an MDF file, was cut short, has no block where a link points, or was never
@@ -66,27 +56,21 @@ def check_complete(path: Path) -> bool:
             raise LogError(path, "cannot be read as an MDF file: its header is not that of an MDF file")
         if len(identification) < IDENTIFICATION:
             raise LogError(path, f"is truncated: the file has {len(identification)} bytes")
-        version, flags = (_read_uint16(identification, offset) for offset in (VERSION_OFFSET, FLAGS_OFFSET))
+        version, flags = (
+            int.from_bytes(identification[offset : offset + 2], "little")
+            for offset in (VERSION_OFFSET, FLAGS_OFFSET)
+        )
         if magic == b"UnFinMF" or flags:
             if version < FINALIZED_SINCE:
                 raise LogError(path, "is truncated: its recording was never finished (unfinalized MDF)")
             return False
-        if version >= 400:
-            _walk(path, stream)
+        size = stream.seek(0, 2)
+        seen, pending = {0, IDENTIFICATION}, [IDENTIFICATION] if version >= 400 else []
+        while pending:
+            links = _links(path, stream, pending.pop(), size)
+            pending += [link for link in dict.fromkeys(links) if link not in seen]
+            seen.update(links)
     return True
-
-
-def _read_uint16(block: bytes, offset: int) -> int:
-    return int.from_bytes(block[offset : offset + 2], "little")
-
-
-def _walk(path: Path, stream: BinaryIO) -> None:
-    size = stream.seek(0, 2)
-    seen, pending = {0, IDENTIFICATION}, [IDENTIFICATION]
-    while pending:
-        links = _links(path, stream, pending.pop(), size)
-        pending += [link for link in dict.fromkeys(links) if link not in seen]
-        seen.update(links)
 
 
 def _links(path: Path, stream: BinaryIO, address: int, size: int) -> tuple[int, ...]:
@@ -151,12 +135,6 @@ def holds_numbers(log: Any, group: int, index: int) -> bool:
 def physical_values(path: Path, log: Any, group: int, index: int) -> np.ndarray:
     """Return the samples of a channel converted to physical numbers; NaN where they are marked invalid.
 
-    Args:
-        path: the file.
-        log: the file as asammdf opened it.
-        group: number of the group.
-        index: place of the channel in it.
-
     Raises:
         LogError: the samples are converted by a formula.
     """
@@ -175,20 +153,12 @@ def physical_values(path: Path, log: Any, group: int, index: int) -> np.ndarray:
 def virtual_master_values(path: Path, log: Any, group: int, index: int) -> np.ndarray:
     """Return the samples of a master, computed from their index.
 
-    Args:
-        path: the file.
-        log: the file as asammdf opened it.
-        group: number of the group.
-        index: place of the master in it.
-
     Raises:
         LogError: the numbers are converted by a formula.
     """
     data_group = log.groups[group]
-    channel, numbers = (
-        data_group.channels[index],
-        np.arange(data_group.channel_group.cycles_nr, dtype=np.float64),
-    )
+    channel = data_group.channels[index]
+    numbers = np.arange(data_group.channel_group.cycles_nr, dtype=np.float64)
     if log.version >= "4":
         return _convert(path, log, channel, numbers)
     return numbers * (channel.sampling_rate or 1.0)

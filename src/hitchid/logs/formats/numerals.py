@@ -53,11 +53,8 @@ Date = tuple[str, str, str]  # its three parts, in the order of the text
 
 def is_stamp(cell: str) -> bool:
     """Return whether a cell is a date with a time, a time of day or a duration such as `00:01.250`."""
-    return (":" in cell and STAMP.fullmatch(cell) is not None) or _is_compact(cell)
-
-
-def _is_compact(cell: str) -> bool:
-    return len(cell) > 14 and cell[:8].isdigit() and STAMP.fullmatch(cell) is not None
+    may_be_compact = len(cell) > 14 and cell[:8].isdigit()
+    return (":" in cell or may_be_compact) and STAMP.fullmatch(cell) is not None
 
 
 class Stamps:
@@ -108,9 +105,6 @@ class Stamps:
 
         A time without a date that falls by more than half a day continues on the next day; minutes and
         seconds alone by more than half an hour, in the next hour.
-
-        Args:
-            stamps: all blocks of `parse`, shape [2, N].
 
         Raises:
             ValueError: the dates are not those of a calendar.

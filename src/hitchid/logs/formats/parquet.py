@@ -17,11 +17,7 @@ TICKS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # 1/s of the units of Arrow
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the selected columns of a Parquet file.
-
-    Args:
-        path: the file.
-        selection: the requested columns; time stamps become seconds since the first.
+    """Read the selected columns of a Parquet file; time stamps become seconds since the first.
 
     Raises:
         LogError: the file is damaged, a column is missing or not unique, or pyarrow is not installed.
@@ -48,11 +44,7 @@ def read(path: Path, selection: ChannelSelection) -> Content:
 
 
 def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns of doubles, with a checksum for each page.
-
-    Args:
-        path: the file; an existing file is replaced.
-        columns: each under a name that may end in its unit, all of one length.
+    """Write columns of doubles, each under a name that may end in its unit, with a checksum for each page.
 
     Raises:
         LogError: pyarrow is not installed.

@@ -10,11 +10,11 @@ import numpy as np
 
 from hitchid.errors import LogError
 from hitchid.logs.content import ChannelSelection, Content, LogChannel
-from hitchid.logs.formats.clock_units import is_time
 from hitchid.logs.formats.library import (
     as_log_errors,
     floats,
     import_optional,
+    is_time,
     match_clocked_channels,
     unit_text,
 )
@@ -39,11 +39,7 @@ class _Waveform(NamedTuple):
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the selected channels of a TDMS file.
-
-    Args:
-        path: the file.
-        selection: the requested channels; the time is optional if all are waveforms.
+    """Read the selected channels of a TDMS file; the time is optional if all are waveforms.
 
     Raises:
         LogError: the file is damaged or was cut short, a channel is missing, or npTDMS is not installed.
@@ -67,11 +63,7 @@ def read(path: Path, selection: ChannelSelection) -> Content:
 
 
 def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns of doubles as channels of the group `log`.
-
-    Args:
-        path: the file; an existing file is replaced.
-        columns: each under a name that may end in its unit.
+    """Write columns of doubles, each under a name that may end in its unit, as channels of the group `log`.
 
     Raises:
         LogError: npTDMS is not installed.
@@ -102,7 +94,10 @@ def _count_data_bytes(path: Path, stream: BinaryIO) -> int:
         lead_in = stream.read(LEAD_IN)
         if not lead_in or not b"TDSm".startswith(lead_in[:4]):
             raise LogError(path, f"cannot be read as {KIND}: no segment starts at byte {position}")
-        end, raw = (position + LEAD_IN, 0) if len(lead_in) < LEAD_IN else _extent(lead_in, position)
+        length = raw_offset = 0
+        if len(lead_in) == LEAD_IN:
+            length, raw_offset = struct.unpack(f"{'>' if lead_in[4] & BIG_ENDIAN else '<'}QQ", lead_in[12:])
+        end, raw = position + LEAD_IN + length, length - raw_offset
         if end > size:
             ends = (
                 f"ends at byte {end}" if end < UNFINISHED else f"from byte {position} on was never finished"
@@ -138,12 +133,6 @@ def _starts(metadata: bytes) -> Iterator[tuple[bytes, bytes]]:
             yield path, start
 
 
-def _extent(lead_in: bytes, position: int) -> tuple[int, int]:
-    order = ">" if lead_in[4] & BIG_ENDIAN else "<"
-    length, raw_offset = struct.unpack(f"{order}QQ", lead_in[12:])
-    return position + LEAD_IN + length, length - raw_offset
-
-
 def _check_sample_counts(
     path: Path, channels: Sequence[Channel], data_bytes: int, last_segment: Mapping[str, Channel]
 ) -> None:
@@ -177,15 +166,12 @@ def _channel(path: Path, name: str, channel: Any, clock_s: np.ndarray | None) ->
     if len(samples) != len(channel):
         raise LogError(path, f"is truncated: holds {len(samples)} of {len(channel)} samples", column=name)
     if np.dtype(channel.dtype).kind == "M":
-        return LogChannel(_since_first(samples), "s", clock_s)
+        # Seconds and fractions since the first are subtracted separately: a double holds no date in ns.
+        seconds = samples["seconds"].astype(np.int64)
+        fractions = samples["second_fractions"].astype(np.float64)
+        since_first = (seconds - seconds[0]).astype(np.float64) + (fractions - fractions[0]) * 2.0**-64
+        return LogChannel(since_first, "s", clock_s)
     return LogChannel(floats(samples), unit_text(channel.properties.get("unit_string")), clock_s)
-
-
-def _since_first(stamps: Any) -> np.ndarray:
-    """Return time stamps as seconds since the first; seconds and fractions are subtracted separately."""
-    seconds = stamps["seconds"].astype(np.int64)
-    fractions = stamps["second_fractions"].astype(np.float64)
-    return (seconds - seconds[0]).astype(np.float64) + (fractions - fractions[0]) * 2.0**-64
 
 
 def _waveform(channel: Any) -> _Waveform | None:

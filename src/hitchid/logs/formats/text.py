@@ -178,13 +178,10 @@ def read_rows(path: Path) -> TextRows:
     numerals.examine({"": "\n".join(chain.from_iterable(rows))})
     if numerals.sign == ",":
         rows = [
-            [_with_point(cell) if NUMBER.fullmatch(cell.strip()) else cell for cell in row] for row in rows
+            [cell.replace(",", ".") if NUMBER.fullmatch(cell.strip()) else cell for cell in row]
+            for row in rows
         ]
     return TextRows(list(dialect.names), rows, lines)
-
-
-def _with_point(cell: str) -> str:
-    return cell.replace(",", ".")
 
 
 def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
@@ -218,8 +215,8 @@ def _column_index(path: Path, dialect: Dialect, name: str) -> int:
         candidates = ", ".join(dialect.names[index] for index in indices)
         raise LogError(path, f"the name is ambiguous: {candidates}", line=dialect.header, column=name)
     if not indices:
-        known = [known for known in dialect.names if known]
-        raise no_such_channel(path, name, known, kind="column", line=dialect.header)
+        names = [other for other in dialect.names if other]
+        raise no_such_channel(path, name, names, kind="column", line=dialect.header)
     return indices[0]
 
 

@@ -7,21 +7,16 @@ import numpy as np
 
 from hitchid.errors import LogError
 from hitchid.logs.content import ChannelSelection, Content, LogChannel
-from hitchid.logs.formats.clock_units import to_seconds
-from hitchid.logs.formats.library import as_log_errors, floats, match_clocked_channels
+from hitchid.logs.formats.library import as_log_errors, floats, match_clocked_channels, to_seconds
 from hitchid.logs.formats.mat import version5, version73
-from hitchid.logs.formats.mat.tree import ChannelSource, Leaf, channels_of
+from hitchid.logs.formats.mat.tree import ChannelSource, channels_of
 
 SUFFIXES = (".mat",)
 KIND = "a MATLAB file"
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the selected vectors of a MATLAB file.
-
-    Args:
-        path: the file.
-        selection: the requested vectors; the time is optional in exports with a time for each signal.
+    """Read the selected vectors of a MATLAB file; the time is optional where each signal has one.
 
     Raises:
         LogError: the file is damaged or was cut short, a vector is missing or not real, or h5py, required for
@@ -29,14 +24,13 @@ def read(path: Path, selection: ChannelSelection) -> Content:
     """
     with as_log_errors(path, KIND):
         reader = version73 if version73.is_hdf5(path) else version5
-        with reader.open_log(path) as log:
-            sources = channels_of(log.tree)
-            matches = match_clocked_channels(
-                path, list(sources), selection, {name for name, c in sources.items() if c.time}
-            )
+        with reader.open_log(path) as (tree, load_variables):
+            sources = channels_of(tree)
+            clocked = {name for name, source in sources.items() if source.time}
+            matches = match_clocked_channels(path, list(sources), selection, clocked)
             selected = {requested: sources[name] for requested, name in matches.items()}
             leaves = [leaf for c in selected.values() for leaf in (c.values, c.time) if leaf]
-            variables = log.load([leaf.variable for leaf in leaves if leaf.variable])
+            variables = load_variables([leaf.variable for leaf in leaves if leaf.variable])
             channels = _channels(path, selected, variables, strict=selection.signals is not None)
     return Content(path, channels)
 
@@ -52,14 +46,10 @@ def _channels(
             if strict:
                 raise LogError(path, "expected a real numeric vector", column=requested)
             continue  # whether a vector is complex is known only after reading
-        clock_s = None if source.time is None else _clock(source.time, source.time_unit, variables, clocks)
+        clock_s = None
+        if source.time is not None:
+            if id(source.time) not in clocks:
+                clocks[id(source.time)] = to_seconds(floats(source.time.load(variables)), source.time_unit)
+            clock_s = clocks[id(source.time)]
         channels[requested] = LogChannel(floats(values), source.unit, clock_s)
     return channels
-
-
-def _clock(
-    leaf: Leaf, unit: str | None, variables: Mapping[str, np.ndarray], clocks: dict[int, np.ndarray]
-) -> np.ndarray:
-    if id(leaf) not in clocks:
-        clocks[id(leaf)] = to_seconds(floats(leaf.load(variables)), unit)
-    return clocks[id(leaf)]

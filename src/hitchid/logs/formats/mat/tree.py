@@ -7,6 +7,8 @@ import numpy as np
 
 from hitchid.logs.formats.library import column_names, column_of, is_matrix, is_vector, unique_names
 
+LoadVariables = Callable[[Sequence[str]], Mapping[str, np.ndarray]]
+
 
 class Leaf(NamedTuple):
     """An array of numbers, loaded on demand.
@@ -36,9 +38,6 @@ def channels_of(tree: Mapping[str, object]) -> dict[str, ChannelSource]:
 
     Fields of structs are named `log/stroke`; signals of a ControlDesk export by their own name, those of a
     Simulink structure with time `out/label`; columns `data(:,2)`, where samples are along the longer side.
-
-    Args:
-        tree: variable to node: a leaf, a text, a dictionary of fields or a list of such.
     """
     exports = sum(_is_control_desk(node) for node in tree.values())
     pairs: list[tuple[str, ChannelSource]] = []

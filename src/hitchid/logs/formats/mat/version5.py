@@ -3,14 +3,15 @@
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from hitchid.errors import LogError
 from hitchid.logs.formats.library import as_log_errors, is_matrix, is_vector
-from hitchid.logs.formats.mat.tree import Leaf
+from hitchid.logs.formats.mat.tree import Leaf, LoadVariables
 
 KIND = "a MATLAB file up to version 7"
 NUMERIC_CLASSES = (
@@ -26,27 +27,9 @@ MAX_EMPTY_STRUCTS = 10_000  # accepted structs without fields, which take no byt
 StructValue = Any  # of scipy.io.loadmat, which has no types
 
 
-class MatFile(NamedTuple):
-    """A MATLAB file: the tree of its content, and a method that loads variables."""
-
-    path: Path
-    tree: Mapping[str, object]
-
-    def load(self, names: Sequence[str]) -> Mapping[str, np.ndarray]:
-        """Load variables of plain numbers.
-
-        Args:
-            names: of the variables.
-
-        Raises:
-            LogError: the file is damaged.
-        """
-        return _load_variables(self.path, names)
-
-
 @contextmanager
-def open_log(path: Path) -> Iterator[MatFile]:
-    """Open a MATLAB file: vectors by name and shape, structs with their content.
+def open_log(path: Path) -> Iterator[tuple[Mapping[str, object], LoadVariables]]:
+    """Open a MATLAB file: the tree of its content, and a function that loads variables of plain numbers.
 
     Raises:
         LogError: the file is damaged or was cut short.
@@ -64,7 +47,7 @@ def open_log(path: Path) -> Iterator[MatFile]:
             tree[name] = Leaf(tuple(shape), lambda variables, name=name: variables[name], name)
         elif kind == "struct":
             tree[name] = _node(structs[name])
-    yield MatFile(path, tree)
+    yield tree, partial(_load_variables, path)
 
 
 def check_sizes(path: Path) -> None:

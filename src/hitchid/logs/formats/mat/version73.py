@@ -1,30 +1,18 @@
 """MATLAB files of version 7.3: HDF5 files in which groups are structs."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from hitchid.logs.formats.hdf5 import NUMERIC_KINDS, is_external, read_dataset
 from hitchid.logs.formats.library import import_optional
-from hitchid.logs.formats.mat.tree import Leaf
+from hitchid.logs.formats.mat.tree import Leaf, LoadVariables
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 SIGNATURE_OFFSETS = (0, 512)  # bytes; MATLAB puts a header of 512 bytes in front
 MAX_DEPTH = 30  # nested structs; chosen
 NON_NUMERIC_CLASSES = ("char", "cell", "struct", "function_handle", "table", "string", "categorical")
-
-
-class MatFile(NamedTuple):
-    """An open file: the tree of its content; each leaf loads itself."""
-
-    tree: Mapping[str, object]
-
-    def load(self, names: Sequence[str]) -> Mapping[str, np.ndarray]:
-        """Return no variables: each leaf reads its own dataset."""
-        return {}
 
 
 def is_hdf5(path: Path) -> bool:
@@ -35,15 +23,15 @@ def is_hdf5(path: Path) -> bool:
 
 
 @contextmanager
-def open_log(path: Path) -> Iterator[MatFile]:
-    """Open a MATLAB 7.3 file.
+def open_log(path: Path) -> Iterator[tuple[Mapping[str, object], LoadVariables]]:
+    """Open a MATLAB 7.3 file: the tree of its content, whose leaves load themselves, so that no variable is.
 
     Raises:
         LogError: h5py is not installed.
     """
     h5py = import_optional("h5py", "hdf5", path)
     with h5py.File(path, "r") as file:
-        yield MatFile(_fields(_Reader(h5py, path), file, 0))
+        yield _fields(_Reader(h5py, path), file, 0), lambda _: {}
 
 
 class _Reader(NamedTuple):
@@ -81,7 +69,8 @@ def _node(reader: _Reader, item: Any, depth: int) -> object:
 
 
 def _array(reader: _Reader, item: Any, depth: int) -> object:
-    kind = _matlab_class(item)
+    kind = item.attrs.get("MATLAB_class", b"")
+    kind = kind.decode("ascii", errors="replace") if isinstance(kind, bytes) else str(kind)
     if "MATLAB_empty" in item.attrs or item.shape is None:
         return None
     if kind == "char" and item.dtype.kind == "u" and item.ndim == 2:
@@ -105,8 +94,3 @@ def _structs(fields: dict[str, object]) -> object:
 
 def _external_leaf(reader: _Reader, name: str) -> Leaf:
     return Leaf((2,), lambda _: read_dataset(reader.path, None, name.lstrip("/")))
-
-
-def _matlab_class(item: Any) -> str:
-    kind = item.attrs.get("MATLAB_class", b"")
-    return kind.decode("ascii", errors="replace") if isinstance(kind, bytes) else str(kind)
