@@ -1,9 +1,9 @@
 """Is the advised test worth more than one more of the usual? Simulated campaigns, both tests run.
 
 The plants of `coverage.py`, those whose parameters are all determined. A campaign of twelve tests is
-identified, `hitchid.control.next_test` proposes a thirteenth for the parameter with the widest interval, it is run on
-the plant, and the campaign identified again; beside it with one more test like the twelve. Prints by how
-much either cuts the interval.
+identified, `hitchid.control.next_test` proposes a thirteenth for the parameter with the widest interval, it
+is run on the plant, and the campaign identified again; beside it with one more test like the twelve. Prints
+by how much either cuts the interval.
 
     python benchmarks/advice.py [CAMPAIGNS]
 """

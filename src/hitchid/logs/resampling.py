@@ -216,7 +216,7 @@ def _section(time_s: np.ndarray, start: int, stop: int, median: float) -> LogSec
     if start > 0:
         gap = time_s[start] - time_s[start - 1]
         sentence = f"split at {time_s[start]:g} s: a gap of {gap:.3g} s, {gap / median:.1f} sampling times"
-        notices = (Notice("gap-split", sentence),)
+        notices = (Notice(AFTER_GAP, sentence),)
     intervals = np.diff(stamps)
     grid_indices = np.concatenate([[0], np.cumsum(np.maximum(1, np.rint(intervals / median)))])
     # The mean step, rounded to four digits where the drift stays below the grid tolerance.
