@@ -271,11 +271,8 @@ def compare_fleet(
     history = tuple(rows)
     if not history:
         raise InputError("rows: got none, expected a row for at least one machine")
-    last, kinds = newest(history), {}
-    for direction in DIRECTIONS:
-        counts = Counter(kind_of(row, direction) for row in last if direction in row.directions)
-        if counts:  # the commonest structure and units
-            kinds[direction] = min(counts, key=lambda kind: (-counts[kind], kind))
+    last = newest(history)
+    kinds = _commonest_kinds(last)
     compared = [row for row in last if any(_is_compared(row, kinds, direction) for direction in kinds)]
     estimates, covariances = _arrays(compared, kinds)
     present = np.flatnonzero(np.any(~np.isnan(estimates), axis=0))
@@ -315,6 +312,15 @@ def compare_fleet(
             ),
         ),
     )
+
+
+def _commonest_kinds(rows: Sequence[Row]) -> dict[str, Kind]:
+    kinds = {}
+    for direction in DIRECTIONS:
+        counts = Counter(kind_of(row, direction) for row in rows if direction in row.directions)
+        if counts:
+            kinds[direction] = min(counts, key=lambda kind: (-counts[kind], kind))
+    return kinds
 
 
 def _is_compared(row: Row, kinds: Mapping[str, Kind], direction: str) -> bool:
