@@ -104,7 +104,7 @@ def draw_machine_points(
             axes.plot(x[of_it], y[of_it], marker, color=colour, markersize=size, label=label)
     place = np.stack([x / (np.ptp(x) or 1.0), y / (np.ptp(y) or 1.0)])
     written: list[int] = []
-    for index in np.flatnonzero([bool(name) for name in names]).tolist():
+    for index in [index for index, name in enumerate(names) if name]:
         distances = np.abs(place[:, written] - place[:, [index]])
         if not np.any(np.all(distances < np.array(NAME_SHARE)[:, None], axis=0)):
             written.append(index)

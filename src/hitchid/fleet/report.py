@@ -252,7 +252,8 @@ def _trend_table(comparison: FleetComparison, trends: FleetTrends) -> Table:
     return Table("Changes a year", header, tuple(rows))
 
 
-Key, Item = TypeVar("Key"), TypeVar("Item")
+Key = TypeVar("Key", bound="str | tuple[str, ...]")
+Item = TypeVar("Item")
 
 
 def _most_frequent_first(pairs: Iterable[tuple[Key, Item]]) -> list[tuple[Key, list[Item]]]:

@@ -14,7 +14,7 @@ from hitchid.bench.parameter_files import load_rig, parameter_sets
 from hitchid.errors import InputError
 from hitchid.hmi import project
 from hitchid.hmi.plans import Limits, limits_of_rig, read_limits
-from hitchid.hmi.source import CLOSED, DISPLACEMENT, REQUIRED, Reading, Source
+from hitchid.hmi.source import CLOSED, REQUIRED, Reading, Source
 from hitchid.hmi.sources import make_source
 
 FASTEST = 20  # samples of a virtual source in a tick at most; chosen: more than two cores reach
@@ -103,8 +103,8 @@ def connect(
         limits = limits_of_rig(load_rig(text.removeprefix("rig:")))
     else:
         limits = None if limits_file is None else read_limits(limits_file)
-    for signal in source.signals[: len(REQUIRED)] if limits else ():
-        unit = limits.displacement_unit if signal.name == DISPLACEMENT else limits.command_unit
+    units = () if limits is None else (limits.command_unit, limits.command_unit, limits.displacement_unit)
+    for signal, unit in zip(source.signals, units, strict=False):
         if signal.unit != unit:
             raise InputError(f"limits: {signal.name} is in {unit}, in {source.label} in {signal.unit}")
     source.open()
