@@ -169,7 +169,7 @@ def test_a_full_temporary_folder_is_told_and_makes_no_failure(logs, tmp_path, mo
     def save(*_):
         raise OutputError(f"{tempfile.gettempdir()}: cannot be written: {full}")
 
-    for name, failing in [("task.download", write), ("identify_machine.IdentificationJob.work", save)]:
+    for name, failing in [("task.download", write), ("jobs.IdentificationJob.work", save)]:
         with monkeypatch.context() as context:
             context.setattr(f"hitchid.fleet.{name}", failing)
             acknowledgement = run_task(own, machine)

@@ -133,8 +133,8 @@ def bench_with(patch, plant, commands):
 
     patch.setattr(fake_bench, "made", lambda: plant, raising=False)
     patch.setattr(bench_loop, "Run", Asked)
-    patch.setattr(connected_source, "_limits", lambda *_: fake_bench.LIMITS)
-    bench = fake_bench.Bench(BenchLoop(Path("/nonexistent")), plant)
+    patch.setattr(connected_source, "read_limits", lambda _: fake_bench.LIMITS)
+    bench = fake_bench.Bench(BenchLoop(Path("/nonexistent"), limits_file=Path("limits.toml")), plant)
     bench.ask("connect", source="fake_bench:made")
     bench.run(**WITHIN)
     return bench

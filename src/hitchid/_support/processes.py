@@ -1,9 +1,45 @@
-"""Messages to another process, sent by a thread of their own so that the sender never waits."""
+"""Processes of this package: how one is started, and messages that its sender never waits for."""
 
 import contextlib
+import os
 import queue
+import socket
+import subprocess
+import sys
 import threading
 from multiprocessing.connection import Connection
+
+
+def module_command(module: str, *arguments: str) -> list[str]:
+    """Return the command that runs a module in another Python; what lies in its folder is no module there."""
+    return [sys.executable, "-P", "-m", module, *arguments]
+
+
+def module_environment() -> dict[str, str]:
+    """Return the environment in which another Python finds the modules that this one finds."""
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+
+
+def connected_module(
+    module: str, *arguments: str, new_session: bool = False
+) -> tuple[subprocess.Popen[bytes], Connection]:
+    """Return a process that runs a module, and the connection to it.
+
+    Args:
+        module: that is run; its first argument is the file descriptor of its end of the connection.
+        arguments: its further ones.
+        new_session: whether a closed terminal or Ctrl-Z must not take it along.
+    """
+    own, other = socket.socketpair()
+    with other:
+        process = subprocess.Popen(  # noqa: S603 - this Python, a module of this package
+            module_command(module, str(other.fileno()), *arguments),
+            pass_fds=(other.fileno(),),
+            start_new_session=new_session,
+            env=module_environment(),
+        )
+    return process, Connection(own.detach())
+
 
 MOST_BLOCKS = 200  # messages that wait before blocks of samples are dropped: eight seconds of them; chosen
 MOST_WAITING = 2000  # messages before any are dropped: a process that has not read for minutes; chosen

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import Force
+from hitchid.cli.program import Force, Rig
 
 
 class Protocol(Enum):
@@ -51,7 +51,7 @@ def bench(
     mode: Annotated[
         TestedDirections, typer.Option("--mode", help="Direction to excite.")
     ] = TestedDirections.BOTH,
-    rig: Annotated[str, typer.Option("--rig", help="Parameter set: a name or a TOML file.")] = "nominal",
+    rig: Rig = "nominal",
     implements_kg: Annotated[
         list[float] | None,
         typer.Option("--implement-kg", help="Mass of the implement; several, once each [that of the rig]."),
@@ -84,15 +84,14 @@ def bench(
 
     conditions = None
     if implements_kg or oil_c or consumer_l_min:
-        conditions = Conditions(
-            tuple(implements_kg or ()), tuple(oil_c or ()), tuple(consumer_l_min or (0.0,))
-        )
-    default_count = REPEATS if protocol is Protocol.RAMP else TESTS["prbs"]
-
+        given = (implements_kg or (), oil_c or (), consumer_l_min or (0.0,))
+        conditions = Conditions(*map(tuple, given))
+    if tests is None:
+        tests = REPEATS if protocol is Protocol.RAMP else TESTS["prbs"]
     logs = write_campaign(
         out,
         rig,
-        tests={protocol.value: default_count if tests is None else tests},
+        tests={protocol.value: tests},
         directions=DIRECTIONS if mode is TestedDirections.BOTH else (mode.value,),
         conditions=conditions,
         suffix=log_format.value,

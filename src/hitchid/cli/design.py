@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import AsJson, Force
+from hitchid.cli.program import AsJson, Force, ModelFolder
 
 
 class OneDirection(Enum):
@@ -26,7 +26,7 @@ class Purpose(Enum):
 
 
 def design(
-    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    model: ModelFolder,
     direction: Annotated[
         OneDirection | None,
         typer.Option("--direction", help="Direction to test [the one with the least determined parameter]."),

@@ -1,7 +1,6 @@
 """`hitchid drive`: proof of a position controller in closed loop on the virtual bench."""
 
 import importlib
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import AsJson, Force, Loads, Quiet, command_line, loads_of
+from hitchid.cli.program import Accept, AsJson, Force, Loads, Quiet, ReportFolder, Rig, command_line, loads_of
 from hitchid.errors import InputError
 
 if TYPE_CHECKING:
@@ -21,8 +20,8 @@ def drive(
     controller: Annotated[
         Path, typer.Argument(help="Controller file, as hitchid tune writes it.", show_default=False)
     ],
-    out: Annotated[Path, typer.Option("--out", help="Folder to write: report.html, figures, metrics.json.")],
-    rig: Annotated[str, typer.Option("--rig", help="Parameter set: a name or a TOML file.")] = "nominal",
+    out: ReportFolder,
+    rig: Rig = "nominal",
     plant: Annotated[
         str | None,
         typer.Option(
@@ -48,10 +47,7 @@ def drive(
         int, typer.Option("--draws", min=1, max=10000, help="Closed loops of each scenario.")
     ] = 20,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of loads and noise.")] = 0,
-    accept: Annotated[
-        Path | None,
-        typer.Option("--accept", help="Acceptance limits in TOML; exit code 1 if one is violated."),
-    ] = None,
+    accept: Accept = None,
     force: Force = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
@@ -80,8 +76,9 @@ def drive(
     travel, units = None, (content.units[DISPLACEMENT], content.units[COMMAND[DIRECTIONS[0]]])
     if plant is None:
         if set(content.units.values()) != {"mm", "A"}:
+            own_units = " and ".join(dict.fromkeys(content.units.values()))
             raise InputError(
-                f"--rig: the bench is in mm and A, the controller in {' and '.join(_units(content))}; "
+                f"--rig: the bench is in mm and A, the controller in {own_units}; "
                 "expected --plant model or --plant MODULE:OBJECT"
             )
         driven = load_rig(rig)
@@ -126,15 +123,7 @@ def drive(
     accepted = {} if acceptance is None else {"acceptance": acceptance.describe()}
     files = {"metrics.json": canonical_json({**result.metrics, **accepted})}
     write_report(out, document, files, mark="metrics.json", force=force)
-    if as_json:
-        typer.echo(json.dumps({**result.metrics, **accepted}, indent=1))
-    else:
-        if not quiet:
-            display.show_report(document, notices, out)
-        if acceptance is not None:
-            display.show_acceptance(acceptance, quiet=quiet)
-    if acceptance is not None and not acceptance.passed:
-        raise typer.Exit(1)
+    display.end_with_verdict(document, result.metrics, notices, acceptance, out, quiet=quiet, as_json=as_json)
 
 
 def _model(content: "ControllerFile", folder: Path) -> "tuple[Hitch | None, tuple[str, ...]]":
@@ -146,15 +135,10 @@ def _model(content: "ControllerFile", folder: Path) -> "tuple[Hitch | None, tupl
         model = load_model(folder / content.model)
     except ModelFolderError as error:
         return None, (f"no band is predicted: {error}",)
-    if model.provenance.digest != content.digest:
-        reason = f"{folder / content.model} is not the model that the controller was tuned for"
-        return None, (f"no band is predicted: {reason}",)
-    return model, ()
-
-
-def _units(content: "ControllerFile") -> list[str]:
-    """Return the units of displacement and commands, each once."""
-    return list(dict.fromkeys(content.units.values()))
+    if model.provenance.digest == content.digest:
+        return model, ()
+    reason = f"{folder / content.model} is not the model that the controller was tuned for"
+    return None, (f"no band is predicted: {reason}",)
 
 
 def _imported(name: str, option: str, functions: tuple[str, ...]) -> Any:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import AsJson, Force, Quiet
+from hitchid.cli.program import AsJson, Force, ModelFolder, Quiet
 from hitchid.errors import InputError
 
 
@@ -31,7 +31,7 @@ class Numbers(Enum):
 
 
 def export(
-    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    model: ModelFolder,
     to: Annotated[
         Target, typer.Option("--to", help="C99 sources, FMI 2.0 or 3.0 unit, or the networks as ONNX.")
     ],
@@ -79,9 +79,8 @@ def export(
     hitch = load(model)
     code = {"name": name, "precision": precision.value, "compensators": not no_compensators, "force": force}
     if to is Target.C:
-        done = to_c(
-            hitch, out, controller=None if controller is None else load_controller(controller), **code
-        )
+        content = None if controller is None else load_controller(controller)
+        done = to_c(hitch, out, controller=content, **code)
     elif to is Target.ONNX:
         done = to_onnx(hitch, out, name=name, force=force)
     else:
@@ -89,8 +88,7 @@ def export(
         done = to_fmu(hitch, out, version=version, platforms=platforms, **code)
     if as_json:
         parity = None if done.parity is None else asdict(done.parity)
-        typer.echo(
-            json.dumps({"parity": parity, "compiler": done.compiler, "notices": done.notices}, indent=1)
-        )
+        content = {"parity": parity, "compiler": done.compiler, "notices": done.notices}
+        typer.echo(json.dumps(content, indent=1))
     elif not quiet:
         display.show_export(done)

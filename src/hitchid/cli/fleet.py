@@ -1,7 +1,6 @@
 """`hitchid fleet`: many machines identified, compared and watched."""
 
 import json
-from collections.abc import Sequence
 from dataclasses import asdict
 from enum import Enum
 from pathlib import Path
@@ -89,7 +88,6 @@ app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
 )
-MAX_NAMED = 5  # machines named for one cause of failure (chosen)
 
 
 class RunnerName(Enum):
@@ -177,6 +175,7 @@ def _report(update: "FleetProgress", shown: "ProgressCallback") -> None:
 def _show(result: "FleetResult", out: str, *, quiet: bool, as_json: bool) -> None:
     """Print the result; a machine without a row ends the command with exit code 1."""
     from hitchid.cli import terminal as display
+    from hitchid.fleet.parameters import listed
 
     if as_json:
         rows = [asdict(row) for row in result.rows]
@@ -187,7 +186,7 @@ def _show(result: "FleetResult", out: str, *, quiet: bool, as_json: bool) -> Non
         typer.echo(
             f"{len(result.rows)} machines: {counts or 'none'}; {result.worked} worked on now; in {out}"
         )
-    failures = [f"{_names(machines)}: {cause}" for cause, machines in result.failures.items()]
+    failures = [f"{listed(machines)}: {cause}" for cause, machines in result.failures.items()]
     display.write_messages("warning", () if quiet else failures)
     if result.unfinished:
         machine, reason = next(iter(result.unfinished.items()))
@@ -195,12 +194,6 @@ def _show(result: "FleetResult", out: str, *, quiet: bool, as_json: bool) -> Non
             f"{len(result.unfinished)} machines are unfinished, such as {machine}: {reason}; "
             "run the command again"
         )
-
-
-def _names(machines: Sequence[str]) -> str:
-    """Return the names of the first machines of several, and the number of the others."""
-    more = f" and {len(machines) - MAX_NAMED} more" if len(machines) > MAX_NAMED else ""
-    return f"{', '.join(machines[:MAX_NAMED])}{more}"
 
 
 def validate(

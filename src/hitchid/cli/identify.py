@@ -46,15 +46,27 @@ def identify(
 
     unfinished = out.absolute().with_name(f"{out.absolute().name}.unfinished")
     force = force or (resume and unfinished.is_dir())
-    from hitchid._support.checkpoints import has_failed, has_results, mark_failed
+    from hitchid._support.checkpoints import (
+        has_failed,
+        has_results,
+        is_empty,
+        is_run,
+        mark_failed,
+        remove_run,
+    )
 
     # A stopped run has left its physics model in `out`: how to go on is said before that it exists.
-    if not (resume or force or has_failed(unfinished)):
-        _check_no_stopped_run(unfinished)
+    stopped = unfinished.exists() and not (unfinished.is_dir() and is_empty(unfinished))
+    if stopped and not (resume or force or has_failed(unfinished)):
+        raise OutputError(
+            f"{unfinished}: holds a stopped run; use --resume to continue it, or --force to start again"
+        )
     check_folder(out, result_kind="model.json", force=force)
     check_inputs(out, [*logs, config, signals])
-    if unfinished.exists() and not resume:
-        _make_way(unfinished)
+    if stopped and not resume:
+        if not is_run(unfinished):
+            raise OutputError(f"{unfinished}: is not an unfinished run, so --force does not replace it")
+        remove_run(unfinished)
     prepare_jax()
     from hitchid.identification import Identification, RivalsConfig, Settings, read_settings, train_rivals
     from hitchid.identification.identify import RIVALS_SHARE
@@ -81,10 +93,8 @@ def identify(
         nonlocal saved
         identification.save(out, force=force or saved)
         saved = True
-        return (
-            f"physics model saved: {identification.free_run_errors()}; going on with corrections, Ctrl-C "
-            "keeps it"
-        )
+        errors = identification.free_run_errors()
+        return f"physics model saved: {errors}; going on with corrections, Ctrl-C keeps it"
 
     try:
         with display.progress(quiet=quiet) as report:
@@ -130,24 +140,3 @@ def _remove_run(unfinished: Path) -> None:
     if is_run(unfinished):
         with suppress(OSError):
             remove_run(unfinished)
-
-
-def _check_no_stopped_run(unfinished: Path) -> None:
-    """Raise OutputError where a stopped run may be continued."""
-    from hitchid._support.checkpoints import is_empty
-
-    if unfinished.exists() and not (unfinished.is_dir() and is_empty(unfinished)):
-        raise OutputError(
-            f"{unfinished}: holds a stopped run; use --resume to continue it, or --force to start again"
-        )
-
-
-def _make_way(unfinished: Path) -> None:
-    """Remove a stopped run before a new one."""
-    from hitchid._support.checkpoints import is_empty, is_run, remove_run
-
-    if unfinished.is_dir() and is_empty(unfinished):
-        return
-    if not is_run(unfinished):
-        raise OutputError(f"{unfinished}: is not an unfinished run, so --force does not replace it")
-    remove_run(unfinished)

@@ -38,6 +38,7 @@ def inspect(
     as_json: AsJson = False,
 ) -> None:
     """Show the content of logs and audit them: problems, where they are, and what to measure again."""
+    from hitchid._support.files import check_file, check_inputs
     from hitchid.cli import terminal as display
     from hitchid.logs.audit import Severity
     from hitchid.logs.inspect import inspect as look
@@ -48,7 +49,10 @@ def inspect(
         _propose(logs, out, force=force)
         return
     if picture is not None:
-        _check_picture(picture, force=force, inputs=[*logs, signals, model])
+        if picture.suffix not in PICTURES:
+            raise InputError(f"--draw: expected a name ending in {', '.join(PICTURES)}, got '{picture.name}'")
+        check_file(picture, force=force)
+        check_inputs(picture, [*logs, signals, model])
     switches = None
     if model is not None:
         from hitchid.model import load
@@ -79,15 +83,6 @@ def _propose(logs: list[Path], out: Path | None, *, force: bool) -> None:
         typer.echo(text, nl=False)
     else:
         write_bytes(out, text.encode("utf-8", errors="surrogateescape"), force=force)
-
-
-def _check_picture(path: Path, *, force: bool, inputs: list[Path | None]) -> None:
-    from hitchid._support.files import check_file, check_inputs
-
-    if path.suffix not in PICTURES:
-        raise InputError(f"--draw: expected a name ending in {', '.join(PICTURES)}, got '{path.name}'")
-    check_file(path, force=force)
-    check_inputs(path, inputs)
 
 
 def _draw(inspection: "Inspection", path: Path, *, force: bool) -> None:

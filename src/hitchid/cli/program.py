@@ -20,6 +20,14 @@ if TYPE_CHECKING:
 
 # Arguments and options shared by several commands.
 
+ModelFolder = Annotated[Path, typer.Argument(help="Model folder.", show_default=False)]
+ReportFolder = Annotated[
+    Path, typer.Option("--out", help="Folder to write: report.html, figures, metrics.json.")
+]
+Accept = Annotated[
+    Path | None, typer.Option("--accept", help="Acceptance limits in TOML; exit code 1 if one is violated.")
+]
+Rig = Annotated[str, typer.Option("--rig", help="Parameter set: a name or a TOML file.")]
 Logs = Annotated[list[Path], typer.Argument(help="Log files or folders of logs.", show_default=False)]
 Signals = Annotated[
     Path | None,
@@ -36,8 +44,6 @@ Interactive = Annotated[
 Strict = Annotated[bool, typer.Option("--strict", help="Fail if any log cannot be used.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print errors only.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing result.")]
-
-
 Loads = Annotated[
     list[str] | None,
     typer.Option(

@@ -7,13 +7,13 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import AsJson, Force, Quiet, command_line
+from hitchid.cli.program import AsJson, Force, Quiet, Rig, command_line
 
 
 def reproduce(
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
     quick: Annotated[bool, typer.Option("--quick", help="Quick study: fewer tests, short training.")] = False,
-    rig: Annotated[str, typer.Option("--rig", help="Parameter set: a name or a TOML file.")] = "nominal",
+    rig: Rig = "nominal",
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of every random draw.")] = 0,
     force: Force = False,
     quiet: Quiet = False,

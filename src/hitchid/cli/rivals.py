@@ -1,17 +1,12 @@
 """`hitchid rivals`: models of other kinds, trained on the tests of a model, beside it."""
 
-from pathlib import Path
-from typing import Annotated
-
-import typer
-
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import Force, Logs, Quiet, Signals, Strict, with_search_cache
+from hitchid.cli.program import Force, Logs, ModelFolder, Quiet, Signals, Strict, with_search_cache
 from hitchid.errors import OutputError
 
 
 def rivals(
-    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    model: ModelFolder,
     logs: Logs,
     signals: Signals = None,
     strict: Strict = False,

@@ -13,7 +13,7 @@ import typer
 
 from hitchid._support.files import check_folder, lines
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import Force, Loads, loads_of
+from hitchid.cli.program import Force, Loads, ModelFolder, loads_of
 from hitchid.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ REHEARSAL_S = 2e-3  # s before a sample is due; a rehearsal takes about half of 
 
 
 def run(
-    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    model: ModelFolder,
     initial: Annotated[
         float | None,
         typer.Option("--initial", help="Initial displacement, in the model's unit [first measured]."),

@@ -11,7 +11,7 @@ import typer
 from hitchid._support import checks
 from hitchid._support.files import check_inputs, write_file
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import Force, Loads, Signals, loads_of
+from hitchid.cli.program import Force, Loads, ModelFolder, Signals, loads_of
 from hitchid.errors import InputError, LogError
 from hitchid.logs import ReaderProcess, assemble, read_table, settings_of
 from hitchid.logs.formats import record_name
@@ -71,16 +71,7 @@ def simulate_log(
     All columns of a text log are copied unchanged; of other formats, time and signals are written.
     A log with gaps is predicted section by section; rows outside the usable sections get an empty cell.
     With an initial displacement the log may hold commands alone, such as the file of `hitchid design`.
-
-    Args:
-        model: an identified hitch.
-        log: one log of any known format.
-        out: CSV file to write.
-        initial: initial values of a free run that are not taken from the log.
-        horizon: samples to look ahead, None for free run.
-        coverage: share of samples within the band around the prediction; None for no band.
-        signals: settings file with the signal map, as `campaign.toml`; None for that of the log's folder.
-        force: replace an existing file.
+    A horizon of None is a free run, and a coverage of None no band.
 
     Raises:
         InputError: an argument or the log cannot be used; its subclasses name log, settings or output.
@@ -97,9 +88,9 @@ def simulate_log(
     all_settings = settings_of([log], signals)
     text = read_rows(log) if log.name.lower().endswith(SUFFIXES) else None
     names = () if text is None else text.header
-    settings = _with_signals(
-        all_settings[log.parent], _required_signals(all_settings[log.parent].signals, model, names, initial)
-    )
+    settings = all_settings[log.parent]
+    required = _required_signals(settings.signals, model, names, initial)
+    settings = settings.model_copy(update={"signals": required})
     table = _read(log, settings, initial, free_run=horizon is None)
     measured = settings.signals.displacement if DISPLACEMENT in table.signals else None
     if initial.displacement is None:
@@ -121,7 +112,10 @@ def simulate_log(
     added = [added_name(base, kind) for kind in ("predicted", "lower", "upper")[: len(columns)]]
     cells = [["" if np.isnan(value) else f"{value:.9g}" for value in row] for row in columns.T.tolist()]
     if text is None:
-        header, rows = _as_text(table, settings.signals)
+        time = table.time_s / UNITS[settings.signals.time.unit or "s"].factor
+        series = {settings.signals.time.column: time, **table.columns}
+        header = list(series)
+        rows = [list(map(repr, row)) for row in zip(*map(np.ndarray.tolist, series.values()), strict=True)]
     else:
         # Lines without a sample, such as comments, stay and have no prediction.
         header, rows = text.header, text.rows
@@ -154,10 +148,6 @@ def _required_signals(
     return signals.model_copy(update={"covariates": covariates})
 
 
-def _with_signals(settings: CampaignFile, signals: SignalMap) -> CampaignFile:
-    return settings.model_copy(update={"signals": signals})
-
-
 def _read(log: Path, settings: CampaignFile, initial: InitialValues, *, free_run: bool) -> LogTable:
     """Read a log, without its displacement where there is none and an initial one is given."""
     displacement = settings.signals.displacement
@@ -174,7 +164,7 @@ def _read(log: Path, settings: CampaignFile, initial: InitialValues, *, free_run
         if table is not None and (displacement is None or initial.displacement is None):
             return table
         without = settings.signals.model_copy(update={"displacement": None})
-        commands = read_table(log, _with_signals(settings, without), process)
+        commands = read_table(log, settings.model_copy(update={"signals": without}), process)
         # Gaps of a displacement that is not used cut nothing out.
         return commands if table is None or table.time_s.size < commands.time_s.size else table
 
@@ -191,11 +181,8 @@ def _commands(name: str, table: LogTable, model: Hitch, signals: SignalMap) -> R
     if others:
         raise LogError(
             table.source,
-            (
-                f"the commands have gaps and were split into {1 + len(others)} parts; with one "
-                "initial displacement only one part can be simulated: simulate each part as "
-                "its own log"
-            ),
+            f"the commands have gaps and were split into {1 + len(others)} parts; with one initial "
+            "displacement only one part can be simulated: simulate each part as its own log",
         )
     return record
 
@@ -224,14 +211,6 @@ def _predictions(
     return columns, flags
 
 
-def _as_text(table: LogTable, signals: SignalMap) -> tuple[list[str], list[list[str]]]:
-    """Return time and signals of a log as text cells."""
-    time = table.time_s / UNITS[signals.time.unit or "s"].factor
-    columns = {signals.time.column: time, **table.columns}
-    rows = zip(*(values.tolist() for values in columns.values()), strict=True)
-    return list(columns), [[repr(value) for value in row] for row in rows]
-
-
 def added_name(column: str, kind: str) -> str:
     """Return the name of an added column: `displacement_predicted_mm`, else `<name>_predicted`.
 
@@ -247,7 +226,7 @@ DEFAULT_COVERAGE = 90  # percent of the samples
 
 
 def simulate(
-    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    model: ModelFolder,
     log: Annotated[Path, typer.Argument(help="One log, or commands alone.", show_default=False)],
     out: Annotated[Path, typer.Option("--out", help="CSV file to write: the log and the prediction.")],
     initial: Annotated[
@@ -277,7 +256,8 @@ def simulate(
 
     check_file(out, force=force)
     check_inputs(out, [model, log, signals])
-    steps = _horizon(horizon)
+    if horizon != "free" and not (horizon.isdecimal() and int(horizon) > 0):
+        raise InputError(f"--horizon: expected 'free' or a whole number of samples above 0, got '{horizon}'")
     if coverage is not None and not bands:
         raise InputError(f"--coverage: expected together with --bands, got --coverage {coverage:g} alone")
     prepare_jax()
@@ -288,18 +268,10 @@ def simulate(
         log,
         out,
         initial=InitialValues(initial, loads_of(load)),
-        horizon=steps,
+        horizon=None if horizon == "free" else int(horizon),
         coverage=(DEFAULT_COVERAGE if coverage is None else coverage) / 100 if bands else None,
         signals=signals,
         force=force,
     )
     display.write_messages("notice", written.notices)
     display.write_result(out, f"{written.samples} samples, displacement predicted in {written.unit}")
-
-
-def _horizon(text: str) -> int | None:
-    if text == "free":
-        return None
-    if text.isdecimal() and int(text) > 0:
-        return int(text)
-    raise InputError(f"--horizon: expected 'free' or a whole number of samples above 0, got '{text}'")

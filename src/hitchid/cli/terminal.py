@@ -1,5 +1,6 @@
 """Terminal output: tables, verdicts, notices."""
 
+import json
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from io import StringIO
@@ -8,6 +9,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING
 
+import typer
 from rich import box
 from rich.table import Table as RichTable
 from rich.text import Text
@@ -55,7 +57,15 @@ def show_inspection(inspection: "Inspection") -> None:
             table.add_row(record.name, *cells, str(len(record.segments)))
         _console().print(table)
     if inspection.findings:
-        _console().print(_findings(inspection.findings))
+        table = _table("finding", "where", "problem and remedy")
+        for finding in inspection.findings:
+            logs = f"{len(finding.records)} logs" if finding.records else "the campaign"
+            signal = [finding.signal.replace("_", " ")] if finding.signal else []
+            location = "\n".join([finding.record or logs, *signal, *_time_spans(finding)])
+            severity = f"{finding.severity.value}:\n{finding.check}"
+            table.add_row(severity, location, f"{finding.what}\n→ {finding.advice}")
+            table.add_section()
+        _console().print(table)
     elif inspection.records:
         _print_wrapped("No problems found.")
     write_messages("notice", inspection.notices)
@@ -143,26 +153,9 @@ def show_audit(findings: Iterable["AuditFinding"], *, quiet: bool = False) -> No
     """Write faults and warnings of an audit to stderr; only faults if `quiet`."""
     for finding in findings:
         if finding.severity.value in (("fault",) if quiet else ("fault", "warning")):
-            prefix = f"{finding.record}: " if finding.record else ""
-            write_messages(
-                finding.severity.value, [f"{prefix}{finding.check}: {finding.what}; {finding.advice}"]
-            )
-
-
-def _findings(findings: Iterable["AuditFinding"]) -> RichTable:
-    """Return the table of audit findings: severity, place, fault and remedy."""
-    table = _table("finding", "where", "problem and remedy")
-    for finding in findings:
-        signal = finding.signal.replace("_", " ")
-        source = finding.record or (f"{len(finding.records)} logs" if finding.records else "the campaign")
-        location = "\n".join(
-            [source, signal, *_time_spans(finding)] if signal else [source, *_time_spans(finding)]
-        )
-        table.add_row(
-            f"{finding.severity.value}:\n{finding.check}", location, f"{finding.what}\n→ {finding.advice}"
-        )
-        table.add_section()
-    return table
+            where = f"{finding.record}: " if finding.record else ""
+            message = f"{where}{finding.check}: {finding.what}; {finding.advice}"
+            write_messages(finding.severity.value, [message])
 
 
 def _time_spans(finding: "AuditFinding") -> list[str]:
@@ -185,10 +178,9 @@ def show_identification(identification: "Identification", out: Path) -> None:
         if trace.candidates:
             _show_candidates(trace, displacement)
         _print_wrapped(f"RMSE {trace.phase1.rmse:.4g} {displacement} in free run on the identification tests")
-        for text in (
-            characteristic_sentences(trace.characteristics, direction) if trace.characteristics else ()
-        ):
-            _print_wrapped(text, indent=2)
+        if trace.characteristics:
+            for text in characteristic_sentences(trace.characteristics, direction):
+                _print_wrapped(text, indent=2)
         if trace.seconds:
             times = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in trace.seconds.items())
             _print_wrapped(f"time: {times}")
@@ -234,13 +226,7 @@ def _parameters(direction: str, unit: str, trace: "ChannelTrace") -> RichTable:
 def show_adaptation(
     model: "Hitch", changes: "Mapping[str, Changes]", counts: "Mapping[tuple[str, str], int]"
 ) -> None:
-    """Write to stderr what an adaptation has come to; stdout has the predictions.
-
-    Args:
-        model: as identified.
-        changes: direction to the changes in use.
-        counts: direction and kind of event to the number of events.
-    """
+    """Write to stderr what an adaptation has come to: changes in use, and events by direction and kind."""
     from hitchid.live import REPORTED, Changes
     from hitchid.live.events import LEARNED, REFUSED
 
@@ -284,9 +270,8 @@ def show_advice(advice: "Advice", model: "Hitch") -> None:
         )
     _console().print(table)
     if advice.ramps:
-        write_messages(
-            "notice", [f"the error of {name} is mostly due to the dead zone: measure three more ramps"]
-        )
+        sentence = f"the error of {name} is mostly due to the dead zone: measure three more ramps"
+        write_messages("notice", [sentence])
 
 
 def show_tuning(tuning: "Tuning", out: Path) -> None:
@@ -310,9 +295,8 @@ def show_tuning(tuning: "Tuning", out: Path) -> None:
 
 def show_limitation(found: "Limitation") -> None:
     """Print what limits a controller and which parameters it depends on."""
-    most = [f"{name.replace('_', ' ')} {share:.0%}" for name, share in found.shares.items()][
-        :SHOWN_PARAMETERS
-    ]
+    shares = [f"{name.replace('_', ' ')} {share:.0%}" for name, share in found.shares.items()]
+    most = shares[:SHOWN_PARAMETERS]
     _print_wrapped(
         f"{found.direction}: at {found.bandwidth_rad_s:.3g} rad/s Ms is {found.nominal:.3f} with the "
         f"identified parameters and {found.worst:.3f} for 95 % of the draws; of its variance is due to "
@@ -357,13 +341,33 @@ def show_report(document: "Document", notices: Iterable[str], out: Path) -> None
     _print_wrapped(f"report: {out / 'report.html'}")
 
 
-def show_acceptance(acceptance: "Acceptance", *, quiet: bool = False) -> None:
-    """Print a line with the verdict of each limit; only failed limits if `quiet`."""
+def end_with_verdict(
+    document: "Document",
+    metrics: Mapping[str, object],
+    notices: Iterable[str],
+    acceptance: "Acceptance | None",
+    out: Path,
+    *,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Print metrics as JSON, or a report and each limit, only failed ones if `quiet`; then end.
+
+    Raises:
+        typer.Exit: with code 1, where a limit is violated.
+    """
     from hitchid.report.verdict import check_line
 
-    for check in acceptance.checks:
+    if as_json:
+        accepted = {} if acceptance is None else {"acceptance": acceptance.describe()}
+        typer.echo(json.dumps({**metrics, **accepted}, indent=1))
+    elif not quiet:
+        show_report(document, notices, out)
+    for check in () if acceptance is None or as_json else acceptance.checks:
         if not (quiet and check.passed):
             sys.stdout.write(line(check_line(check)))
+    if acceptance is not None and not acceptance.passed:
+        raise typer.Exit(1)
 
 
 def _table(*header: str, kind: box.Box = box.HEAVY_HEAD) -> RichTable:
@@ -383,7 +387,7 @@ def _print_whole(table: RichTable) -> None:
     PlainConsole(file=text, width=WIDEST).print(table)
     for row in text.getvalue().splitlines():
         rule = row.strip(" ─") == ""
-        sys.stdout.write(f"{row[:COLUMNS] if rule else row}".rstrip() + "\n")
+        sys.stdout.write((row[:COLUMNS] if rule else row).rstrip() + "\n")
 
 
 def _narrow_console() -> PlainConsole:

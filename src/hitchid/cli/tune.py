@@ -8,11 +8,11 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import AsJson, Force, Loads, Quiet, command_line, loads_of
+from hitchid.cli.program import AsJson, Force, Loads, ModelFolder, Quiet, command_line, loads_of
 
 
 def tune(
-    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    model: ModelFolder,
     out: Annotated[Path, typer.Option("--out", help="Controller file to write, TOML.")],
     report_folder: Annotated[
         Path | None,
@@ -46,7 +46,9 @@ def tune(
     hitch = load_model(model)
     with display.progress(quiet=quiet) as report:
         tuning = run(hitch, load=loads_of(load), draws=draws, seed=seed, progress=report)
-    save_controller(tuning, hitch, out, model_folder=_relative(model, out), force=force)
+    # Relative to the file, so that both can move together.
+    folder = Path(os.path.relpath(model.resolve(), out.resolve().parent)).as_posix()
+    save_controller(tuning, hitch, out, model_folder=folder, force=force)
     if report_folder is not None:
         document = tune_report(tuning, command=command_line())
         write_report(report_folder, document, {out.name: out.read_bytes()}, mark=out.name, force=force)
@@ -55,8 +57,3 @@ def tune(
         typer.echo(json.dumps({"method": tuning.method, "margins": margins}, indent=1))
     elif not quiet:
         display.show_tuning(tuning, out)
-
-
-def _relative(model: Path, out: Path) -> str:
-    """Return the model's folder relative to that of the file, so that both can move together."""
-    return Path(os.path.relpath(model.resolve(), out.resolve().parent)).as_posix()

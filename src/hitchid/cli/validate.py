@@ -1,6 +1,5 @@
 """`hitchid validate`: comparison of a model with tests."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -8,13 +7,16 @@ import typer
 
 from hitchid._support.jax_setup import prepare_jax
 from hitchid.cli.program import (
+    Accept,
     AsJson,
     AsPdf,
     AsXlsx,
     Force,
     Interactive,
     Logs,
+    ModelFolder,
     Quiet,
+    ReportFolder,
     Signals,
     Strict,
     command_line,
@@ -24,13 +26,10 @@ from hitchid.errors import InputError
 
 
 def validate(
-    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    model: ModelFolder,
     logs: Logs,
-    out: Annotated[Path, typer.Option("--out", help="Folder to write: report.html, figures, metrics.json.")],
-    accept: Annotated[
-        Path | None,
-        typer.Option("--accept", help="Acceptance limits in TOML; exit code 1 if one is violated."),
-    ] = None,
+    out: ReportFolder,
+    accept: Accept = None,
     junit: Annotated[
         Path | None, typer.Option("--junit", help="JUnit XML file for the results of the limits.")
     ] = None,
@@ -79,13 +78,6 @@ def validate(
         write_report(out, document, files, formats=formats, mark="metrics.json", force=force)
     if junit is not None and acceptance is not None:
         write_bytes(junit, render(document, "junit"), force=force)
-    if as_json:
-        accepted = {} if acceptance is None else {"acceptance": acceptance.describe()}
-        typer.echo(json.dumps({**result.metrics, **accepted}, indent=1))
-    else:
-        if not quiet:
-            display.show_report(document, result.notices, out)
-        if acceptance is not None:
-            display.show_acceptance(acceptance, quiet=quiet)
-    if acceptance is not None and not acceptance.passed:
-        raise typer.Exit(1)
+    display.end_with_verdict(
+        document, result.metrics, result.notices, acceptance, out, quiet=quiet, as_json=as_json
+    )

@@ -56,9 +56,10 @@ def comparison_tables(comparison: "FleetComparison") -> dict[str, DataTable]:
 
     `estimate`, `deviation`, slopes and their ends are of the logarithm where the column `logarithm` is true.
     """
+    known = (cells.tolist() for cells in np.nonzero(~np.isnan(comparison.estimates)))
     lines: dict[str, Iterable[Mapping[str, Cell]]] = {
-        "outliers": _outliers(comparison),
-        "machines": _machines(comparison),
+        "outliers": (_line(comparison, *cell) for cell in comparison.outliers.ranking),
+        "machines": (_line(comparison, *cell) for cell in zip(*known, strict=True)),
         "populations": _populations(comparison),
         "cohorts": _cohorts(comparison),
         "trends": _trend_rows(comparison),
@@ -66,7 +67,7 @@ def comparison_tables(comparison: "FleetComparison") -> dict[str, DataTable]:
             {"machine": row.machine, "date": row.date, "cause": row.cause, "message": row.message}
             for row in comparison.failed
         ),
-        "not_compared": (each._asdict() for each in comparison.not_compared),
+        "not_compared": (left_out._asdict() for left_out in comparison.not_compared),
     }
     tables = {name: DataTable.of_rows(name, rows) for name, rows in lines.items()}
     return {
@@ -127,15 +128,6 @@ def _line(comparison: "FleetComparison", machine: int, column: int) -> dict[str,
         **{name: _cell(float(number)) for name, number in numbers.items()},
         "stands_out": bool(outliers.named[machine, column]),
     }
-
-
-def _outliers(comparison: "FleetComparison") -> Iterator[dict[str, Cell]]:
-    return (_line(comparison, machine, column) for machine, column in comparison.outliers.ranking)
-
-
-def _machines(comparison: "FleetComparison") -> Iterator[dict[str, Cell]]:
-    cells = np.argwhere(~np.isnan(comparison.estimates))
-    return (_line(comparison, int(machine), int(column)) for machine, column in cells)
 
 
 def _populations(comparison: "FleetComparison") -> Iterator[dict[str, Cell]]:
@@ -252,17 +244,12 @@ class FleetComparison(Value):
     @cached_property
     def tables(self) -> dict[str, DataTable]:
         """Every table as data, by name: outliers, machines, populations, cohorts, trends, failures, …."""
-
         return comparison_tables(self)
 
     def column(self, direction: str, name: str) -> int | None:
         """Return the index of a parameter; None where it is not compared."""
-        found = (
-            index
-            for index, parameter in enumerate(self.parameters)
-            if (parameter.direction, parameter.name) == (direction, name)
-        )
-        return next(found, None)
+        names = [(parameter.direction, parameter.name) for parameter in self.parameters]
+        return names.index((direction, name)) if (direction, name) in names else None
 
 
 def compare_fleet(
@@ -317,13 +304,17 @@ def compare_fleet(
         notices=(
             *_few(parameters, estimates),
             *([] if metadata is None else metadata.notices((row.machine for row in last), machines)),
-            *(_without_effect(columns, cohorts)),
+            *(
+                f"column '{column}' has no two categories of three machines, or no two numbers; "
+                "no cohorts are compared by it"
+                for column in columns
+                if column not in {effect.column for effect in cohorts}
+            ),
         ),
     )
 
 
 def _commonest_kinds(rows: Sequence[Row]) -> dict[str, Kind]:
-    """Return direction to the structure and units that most machines have."""
     kinds = {}
     for direction in DIRECTIONS:
         counts = Counter(kind_of(row, direction) for row in rows if direction in row.directions)
@@ -345,9 +336,7 @@ def _not_compared(rows: Sequence[Row], kinds: Mapping[str, Kind]) -> Iterable[No
                 reason = f"structure {kind.structure}; compared is {compared.structure}"
                 yield NotCompared(row.machine, direction, reason)
             elif kind != compared:
-                own, others = (
-                    f"{each.displacement_unit} and {each.command_unit}" for each in (kind, compared)
-                )
+                own, others = (f"{k.displacement_unit} and {k.command_unit}" for k in (kind, compared))
                 yield NotCompared(row.machine, direction, f"units {own}; compared are {others}")
             else:
                 if not figures.gain_error:
@@ -358,12 +347,12 @@ def _not_compared(rows: Sequence[Row], kinds: Mapping[str, Kind]) -> Iterable[No
 
 def _arrays(rows: Sequence[Row], kinds: Mapping[str, Kind]) -> tuple[np.ndarray, np.ndarray]:
     """Return estimates and covariances of all parameters of all directions, NaN where missing."""
-    each, size = len(NAMES), len(NAMES) * len(kinds)
+    size = len(NAMES) * len(kinds)
     estimates = np.full((len(rows), size), np.nan)
     covariances = np.zeros((len(rows), size, size))
     for number, row in enumerate(rows):
-        for place, direction in enumerate(kinds):
-            block = slice(place * each, (place + 1) * each)
+        for first, direction in zip(range(0, size, len(NAMES)), kinds, strict=True):
+            block = slice(first, first + len(NAMES))
             if _is_compared(row, kinds, direction):
                 figures = estimates_of_row(row.directions[direction])
                 estimates[number, block], covariances[number, block, block] = figures
@@ -400,13 +389,3 @@ def _few(parameters: Sequence[FleetParameter], estimates: np.ndarray) -> Iterabl
     ]
     if few:
         yield f"no machine can stand out where fewer than {FEWEST_OF_OUTLIERS} are compared: {', '.join(few)}"
-
-
-def _without_effect(columns: Iterable[str], cohorts: Sequence[CohortEffect]) -> Iterable[str]:
-    compared = {effect.column for effect in cohorts}
-    for column in columns:
-        if column not in compared:
-            yield (
-                f"column '{column}' has no two categories of three machines, or no two numbers; "
-                "no cohorts are compared by it"
-            )

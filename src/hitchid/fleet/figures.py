@@ -1,11 +1,11 @@
 """Figures of a fleet: machines with intervals, their scatter, the map of verdicts, speed over command."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -47,21 +47,6 @@ FURTHER = ("ink", (1.0, 1.0), "")
 NAME_SHARE = (0.35, 0.06)  # width and height of a name, shares of the axes; chosen: no name covers another
 
 
-class SpeedLine(NamedTuple):
-    """Steady speed over command of one machine that is pointed out.
-
-    Attributes:
-        label: its name.
-        gain, dead_zone: its parameters.
-        style: number of its colour and dashes, of `STYLES`; larger ones have those of all further machines.
-    """
-
-    label: str
-    gain: float
-    dead_zone: float
-    style: int
-
-
 def draw_machine_intervals(
     axes: Axes,
     values: Float[np.ndarray, " n"],
@@ -69,13 +54,7 @@ def draw_machine_intervals(
     upper: Float[np.ndarray, " n"],
     verdicts: Int[np.ndarray, " n"],
 ) -> None:
-    """Draw the value of each machine with its interval, the first one at the top.
-
-    Args:
-        axes: to draw into.
-        values, lower, upper: of each machine, NaN where missing, shape [N].
-        verdicts: of each machine, `HIGHER`, `LOWER` or another one, shape [N].
-    """
+    """Draw the value of each machine with its interval, the first one at the top; NaN where missing."""
     rows = np.arange(len(values))
     for verdict in (ALIKE, LOWER, HIGHER):
         _, marker, colour, _ = VERDICTS[verdict]
@@ -85,17 +64,6 @@ def draw_machine_intervals(
         axes.hlines(rows[of_it], lower[of_it], upper[of_it], color=shade, linewidth=INTERVAL_WIDTH)
         size = POINT_SIZE * (1.6 if outlying else 1.0)
         axes.plot(values[of_it], rows[of_it], marker, color=shade, markersize=size, linestyle="none")
-
-
-def draw_distribution(
-    axes: Axes, mean: float, mean_interval: tuple[float, float], prediction_interval: tuple[float, float]
-) -> None:
-    """Draw mean and prediction interval over machines across all rows; nothing where they are NaN."""
-    if np.isnan(mean):
-        return
-    axes.axvspan(*prediction_interval, color=GRID, alpha=0.6, linewidth=0, zorder=0)
-    axes.axvspan(*mean_interval, color=FAINT, alpha=0.45, linewidth=0, zorder=0.1)
-    axes.axvline(mean, color=INK, linewidth=0.7, zorder=0.2)
 
 
 def draw_quantiles(axes: Axes, values: Float[np.ndarray, " n"], row: int) -> None:
@@ -117,15 +85,6 @@ def ellipse(
     return centre[:, None] + axes @ (RADIUS * np.sqrt(np.maximum(spread, 0.0))[:, None] * CIRCLE)
 
 
-def draw_ellipses(axes: Axes, curves: Sequence[Float[np.ndarray, "2 k"]], colour: str, width: float) -> None:
-    """Draw closed curves, shape [2, K] each, in one colour and width in points."""
-    from matplotlib.collections import LineCollection
-
-    lines = LineCollection([curve.T for curve in curves], colors=colour, linewidths=width)
-    axes.add_collection(lines)
-    axes.autoscale_view()
-
-
 def draw_machine_points(
     axes: Axes,
     x: Float[np.ndarray, " n"],
@@ -135,11 +94,7 @@ def draw_machine_points(
 ) -> None:
     """Draw a point for each machine; those that stand out are diamonds with their name.
 
-    Args:
-        axes: to draw into.
-        x, y: of each machine, shape [N].
-        outlying: whether it stands out, shape [N].
-        names: of each machine; an empty one is not written.
+    Of names that would cover each other the first one is written.
     """
     for of_it, marker, colour, size, label in (
         (~outlying, "o", FAINT, 2.5, "machine"),
@@ -147,68 +102,14 @@ def draw_machine_points(
     ):
         if of_it.any():
             axes.plot(x[of_it], y[of_it], marker, color=colour, markersize=size, label=label)
-    for index in _apart(x, y, np.flatnonzero([bool(name) for name in names])):
-        axes.annotate(
-            names[index], (x[index], y[index]), xytext=(4, 3), textcoords="offset points", fontsize=6.5
-        )
-
-
-def _apart(x: np.ndarray, y: np.ndarray, candidates: Int[np.ndarray, " k"]) -> list[int]:
-    """Return the points whose names do not cover each other, the first ones where they would."""
     place = np.stack([x / (np.ptp(x) or 1.0), y / (np.ptp(y) or 1.0)])
-    chosen: list[int] = []
-    for index in candidates.tolist():
-        distances = np.abs(place[:, chosen] - place[:, [index]])
+    written: list[int] = []
+    for index in [index for index, name in enumerate(names) if name]:
+        distances = np.abs(place[:, written] - place[:, [index]])
         if not np.any(np.all(distances < np.array(NAME_SHARE)[:, None], axis=0)):
-            chosen.append(index)
-    return chosen
-
-
-def draw_verdicts(axes: Axes, verdicts: Int[np.ndarray, "n p"]) -> None:
-    """Draw the verdict on each parameter of each machine as a grid, the first machine at the top."""
-    for verdict, (label, marker, colour, area) in VERDICTS.items():
-        rows, columns = np.nonzero(verdicts == verdict)
-        if rows.size:
-            axes.scatter(columns, rows, s=area, marker=marker, color=colour, label=label, linewidths=1.0)
-    axes.set_xlim(-0.5, verdicts.shape[1] - 0.5)
-    axes.set_ylim(verdicts.shape[0] - 0.5, -0.5)
-
-
-def draw_speed_fan(
-    axes: Axes,
-    gains: Float[np.ndarray, " n"],
-    dead_zones: Float[np.ndarray, " n"],
-    highest_command: float,
-    outlying: Sequence[SpeedLine],
-) -> None:
-    """Draw gain · (command − dead zone) of all machines in light lines, and of some in lines of their own.
-
-    Args:
-        axes: to draw into.
-        gains, dead_zones: of each machine, shape [N].
-        highest_command: end of the command's axis.
-        outlying: pointed out, above the others.
-    """
-    from matplotlib.collections import LineCollection
-
-    def line(gain: float, dead_zone: float) -> list[tuple[float, float]]:
-        end = max(highest_command, dead_zone)
-        return [(0.0, 0.0), (dead_zone, 0.0), (end, gain * (end - dead_zone))]
-
-    many = [line(*pair) for pair in zip(gains.tolist(), dead_zones.tolist(), strict=True)]
-    opacity = float(np.clip(OPAQUE_LINES / max(1, len(many)), LEAST_ALPHA, 1.0))
-    axes.add_collection(
-        LineCollection(many, colors=FAINT, linewidths=LINE_WIDTH, alpha=opacity, label="all machines")
-    )
-    for each in outlying:
-        is_further = each.style >= len(STYLES)
-        colour, dashes, _ = FURTHER if is_further else STYLES[each.style]
-        label = "further ones that stand out" if is_further else each.label
-        x, y = zip(*line(each.gain, each.dead_zone), strict=True)
-        axes.plot(x, y, color=COLOURS[colour], dashes=dashes, label=label)
-    axes.autoscale_view()
-    axes.set_xlim(0.0, highest_command)
-    axes.set_ylim(bottom=0.0)
+            written.append(index)
+            at = (x[index], y[index])
+            axes.annotate(names[index], at, xytext=(4, 3), textcoords="offset points", fontsize=6.5)
 
 
 MOST_ROWS = 60  # machines that are drawn one by one; of more, those that stand out; chosen
@@ -236,7 +137,7 @@ def shown_machines(comparison: FleetComparison) -> tuple[list[int], list[int]]:
 
 
 def verdict_codes(comparison: FleetComparison) -> Int[np.ndarray, "n p"]:
-    """Return the verdict on each parameter of each machine, as `plots.fleet` has them."""
+    """Return the verdict on each parameter of each machine."""
     outliers = comparison.outliers
     signed = np.where(outliers.deviation > 0, HIGHER, LOWER)
     codes = np.where(outliers.named, signed, ALIKE)
@@ -255,10 +156,6 @@ def forest(comparison: FleetComparison, direction: str) -> Figure:
 
     Line and bands are mean, its 95 % interval and the 95 % prediction interval. Of more than sixty machines
     those that stand out are drawn, and the quantiles of the others.
-
-    Args:
-        comparison: of the machines.
-        direction: lifting or lowering, with a parameter at least.
     """
     shown, others = shown_machines(comparison)
     columns = [index for index, each in enumerate(comparison.parameters) if each.direction == direction]
@@ -282,11 +179,14 @@ def _forest_panel(
     half_width = HALF_WIDTH * np.sqrt(comparison.covariances[shown, column, column])
     limits = (estimates, estimates - half_width, estimates + half_width)
     values, lower, upper = (parameter.value(each) for each in limits)
-    mean, of_mean, of_another = (
-        parameter.value(np.array(each))
-        for each in (population.mean, population.mean_interval, population.prediction_interval)
-    )
-    draw_distribution(axes, float(mean), (of_mean[0], of_mean[1]), (of_another[0], of_another[1]))
+    if not np.isnan(population.mean):
+        mean, of_mean, of_another = (
+            parameter.value(np.array(number))
+            for number in (population.mean, population.mean_interval, population.prediction_interval)
+        )
+        axes.axvspan(of_another[0], of_another[1], color=GRID, alpha=0.6, linewidth=0, zorder=0)
+        axes.axvspan(of_mean[0], of_mean[1], color=FAINT, alpha=0.45, linewidth=0, zorder=0.1)
+        axes.axvline(float(mean), color=INK, linewidth=0.7, zorder=0.2)
     draw_machine_intervals(axes, values, lower, upper, verdict_codes(comparison)[shown, column])
     if others:
         draw_quantiles(axes, parameter.value(comparison.estimates[others, column]), len(shown))
@@ -348,7 +248,9 @@ def _scatter_panel(axes: Axes, comparison: FleetComparison, direction: str) -> N
         _in_units(ellipse(point, error))
         for point, error in zip(points[with_ellipse], errors[with_ellipse], strict=True)
     ]
-    draw_ellipses(axes, curves, COLOURS["one_step"], 0.4)
+    lines = LineCollection([curve.T for curve in curves], colors=COLOURS["one_step"], linewidths=0.4)
+    axes.add_collection(lines)
+    axes.autoscale_view()
     dead_zones, gains = _in_units(points.T)
     names = [
         short_name(comparison.machines[machine]) if stands_out else ""
@@ -390,7 +292,12 @@ def verdicts(comparison: FleetComparison) -> Figure:
     names, codes = verdict_rows(comparison)
     figure = Figure(figsize=(PAGE_IN, max(LEAST_IN, 1.2 * MARGIN_IN + ROW_IN * len(names))))
     axes = figure.subplots()
-    draw_verdicts(axes, codes)
+    for verdict, (label, marker, colour, area) in VERDICTS.items():
+        rows, columns = np.nonzero(codes == verdict)
+        if rows.size:
+            axes.scatter(columns, rows, s=area, marker=marker, color=colour, label=label, linewidths=1.0)
+    axes.set_xlim(-0.5, codes.shape[1] - 0.5)
+    axes.set_ylim(codes.shape[0] - 0.5, -0.5)  # the first machine at the top
     labels = [f"{each.direction}\n{each.name}" for each in comparison.parameters]
     axes.set_xticks(range(len(labels)), labels, fontsize=6.5)
     axes.set_yticks(range(len(names)), [short_name(name) for name in names], fontsize=6.5)
@@ -407,9 +314,8 @@ def verdict_rows(comparison: FleetComparison) -> tuple[list[str], Int[np.ndarray
     shown = shown_machines(comparison)[0]
     identified = verdict_codes(comparison)[shown]
     absent = np.full((len(failed), len(comparison.parameters)), FAILED)
-    return [*(comparison.machines[machine] for machine in shown), *failed], np.concatenate(
-        [identified, absent]
-    )
+    names = [*(comparison.machines[machine] for machine in shown), *failed]
+    return names, np.concatenate([identified, absent])
 
 
 @styled
@@ -434,14 +340,31 @@ def speed_fan(comparison: FleetComparison) -> Figure:
 def _fan_panel(axes: Axes, comparison: FleetComparison, direction: str) -> None:
     columns, machines = _columns(comparison, direction), _with_both(comparison, direction)
     dead_zones, gains = _in_units(comparison.estimates[machines][:, columns].T)
+    median = float(np.median(dead_zones))
+    highest = COMMAND_FACTOR * median if median > 0 else 1.0
+
+    def line(gain: float, dead_zone: float) -> list[tuple[float, float]]:
+        end = max(highest, dead_zone)
+        return [(0.0, 0.0), (dead_zone, 0.0), (end, gain * (end - dead_zone))]
+
+    many = [line(*pair) for pair in zip(gains.tolist(), dead_zones.tolist(), strict=True)]
+    opacity = float(np.clip(OPAQUE_LINES / max(1, len(many)), LEAST_ALPHA, 1.0))
+    axes.add_collection(
+        LineCollection(many, colors=FAINT, linewidths=LINE_WIDTH, alpha=opacity, label="all machines")
+    )
     named = np.any(comparison.outliers.named[:, columns], axis=1)
-    outlying = []
     for style, machine in enumerate(_ranked_by_speed(comparison)):
         dead_zone, gain = _in_units(comparison.estimates[machine, columns][:, None])[:, 0]
         if named[machine] and np.isfinite(dead_zone + gain):
-            outlying.append(SpeedLine(short_name(comparison.machines[machine]), gain, dead_zone, style))
-    median = float(np.median(dead_zones))
-    draw_speed_fan(axes, gains, dead_zones, COMMAND_FACTOR * median if median > 0 else 1.0, outlying)
+            is_further = style >= len(STYLES)
+            colour, dashes, _ = FURTHER if is_further else STYLES[style]
+            name = short_name(comparison.machines[machine])
+            label = "further ones that stand out" if is_further else name
+            x, y = zip(*line(gain, dead_zone), strict=True)
+            axes.plot(x, y, color=COLOURS[colour], dashes=dashes, label=label)
+    axes.autoscale_view()
+    axes.set_xlim(0.0, highest)
+    axes.set_ylim(bottom=0.0)
     kind = comparison.kinds[direction]
     axes.set_xlabel(f"{direction} command / {kind.command_unit}")
     axes.set_ylabel(f"speed / ({kind.speed_unit})")

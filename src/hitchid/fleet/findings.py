@@ -1,7 +1,7 @@
 """What a comparison of machines says, in sentences."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -18,26 +18,23 @@ VERBS = {"lifting": "lift", "lowering": "lower"}
 
 
 def fleet_findings(comparison: FleetComparison) -> tuple[Finding, ...]:
-    """Return what stands out, changes, differs between cohorts and failed.
-
-    Args:
-        comparison: of the machines.
-    """
-    return (
-        _how_many(comparison),
-        *_limited([Finding(Rating.CAUTION, text) for text in outlier_sentences(comparison)], "outliers"),
-        *_limited([Finding(Rating.CAUTION, text) for text in _trend_sentences(comparison)], "trends"),
-        *_limited([Finding(Rating.CAUTION, text) for text in _cohort_sentences(comparison)], "cohorts"),
-        *_failures(comparison),
-    )
-
-
-def _limited(findings: Sequence[Finding], table: str) -> list[Finding]:
-    """Return at most ten findings, and how many more are in a table."""
-    shown, more = list(findings[:MOST_SENTENCES]), len(findings) - MOST_SENTENCES
-    if more > 0:
-        shown.append(Finding(Rating.CAUTION, f"{more} more: see the table of {table}."))
-    return shown
+    """Return what stands out, changes, differs between cohorts and failed."""
+    findings = [_how_many(comparison)]
+    for table, sentences in (
+        ("outliers", outlier_sentences(comparison)),
+        ("trends", _trend_sentences(comparison)),
+        ("cohorts", _cohort_sentences(comparison)),
+    ):
+        texts = list(sentences)
+        if (more := len(texts) - MOST_SENTENCES) > 0:
+            texts[MOST_SENTENCES:] = [f"{more} more: see the table of {table}."]
+        findings += [Finding(Rating.CAUTION, text) for text in texts]
+    if failed := comparison.failed:
+        causes = Counter(row.cause for row in failed).most_common()
+        listed = ", ".join(f"{cause} ({count})" for cause, count in causes)
+        text = f"{len(failed)} of {len(comparison.rows)} machines could not be identified: {listed}."
+        findings.append(Finding(Rating.BAD, text))
+    return tuple(findings)
 
 
 def _how_many(comparison: FleetComparison) -> Finding:
@@ -155,7 +152,8 @@ def cohort_sentence(comparison: FleetComparison, effect: CohortEffect) -> str:
     name = f"{parameter.name} of {parameter.direction}"
     if effect.labels:
         values = (
-            f"{label} {numbers.digits(float(parameter.value(value)))}" for label, value in _pairs(effect)
+            f"{label} {numbers.digits(float(parameter.value(value)))}"
+            for label, value in zip(effect.labels, effect.values, strict=True)
         )
         means = f"{', '.join(values)} {parameter.unit}"
         return f"The {name} depends on {effect.column}: {means} ({q_text(effect.q_value)})."
@@ -170,16 +168,3 @@ def cohort_sentence(comparison: FleetComparison, effect: CohortEffect) -> str:
 def q_text(q_value: float) -> str:
     """Return a q-value with two digits, `< 0.001` below that."""
     return f"q {'< 0.001' if q_value < LEAST_Q else f'= {q_value:.2g}'}"
-
-
-def _pairs(effect: CohortEffect) -> Iterator[tuple[str, float]]:
-    return zip(effect.labels, effect.values, strict=True)
-
-
-def _failures(comparison: FleetComparison) -> Iterator[Finding]:
-    failed = comparison.failed
-    if failed:
-        causes = Counter(row.cause for row in failed).most_common()
-        listed = ", ".join(f"{cause} ({count})" for cause, count in causes)
-        text = f"{len(failed)} of {len(comparison.rows)} machines could not be identified: {listed}."
-        yield Finding(Rating.BAD, text)

@@ -21,7 +21,6 @@ from hitchid.fleet.task import Job
 from hitchid.live.parameters import changed_benchmark
 from hitchid.logs.record import Record
 from hitchid.model import Channel
-from hitchid.structures import Batch
 
 if TYPE_CHECKING:
     from hitchid.identification import Settings
@@ -201,30 +200,18 @@ class Change(NamedTuple):
 
 
 def drift_of(channel: Channel, records: Sequence[Record], identified: DirectionRow) -> DriftRow:
-    """Return the change of one direction between its identification and new tests.
-
-    Args:
-        channel: the model.
-        records: new tests of the direction.
-        identified: the figures of the identification, with their errors.
-    """
+    """Return the change of one direction between its identification and new tests."""
     batch = channel.batch(records)
     mask = np.asarray(batch.loss_mask & batch.valid)
     errors = (np.asarray(batch.displacement) - np.asarray(channel.simulate(batch)))[mask]
-    unchanged = DriftRow(
-        None,
-        None,
-        None,
-        None,
-        None,
-        rmse=float(np.sqrt(np.mean(errors**2))),
-        reference_rmse=identified.held_out_rmse or identified.rmse,
-        tests=len(records),
-    )
+    rmse, before = float(np.sqrt(np.mean(errors**2))), identified.held_out_rmse or identified.rmse
+    unchanged = DriftRow(None, None, None, None, None, rmse, before, tests=len(records))
     if len(records) < MIN_TESTS:
         return unchanged
     change = fit_change(channel, records)
-    covariance = change.covariance + _identification_covariance(identified)
+    errors = np.array([identified.gain_error or 0.0, identified.dead_zone_error])
+    correlation = np.array([[1.0, identified.correlation], [identified.correlation, 1.0]])
+    covariance = change.covariance + np.outer(errors, errors) * correlation
     deviations = np.sqrt(np.diag(covariance))
     return replace(
         unchanged,
@@ -245,8 +232,10 @@ def fit_change(channel: Channel, records: Sequence[Record]) -> Change:
     scale = np.array([1.0, largest])
 
     def errors_at(theta: np.ndarray) -> np.ndarray:
-        simulated = np.asarray(_changed(channel, theta).simulate(_with_dead_zone(batch, theta[1])))
-        return np.where(mask, np.asarray(batch.displacement) - simulated, 0.0)
+        changes = jnp.array([theta[0], theta[1], 0.0])
+        changed = replace(channel, benchmark=changed_benchmark(channel.benchmark, changes))
+        shifted = batch.with_dead_zones(batch.dead_zone + theta[1])
+        return np.where(mask, np.asarray(batch.displacement) - np.asarray(changed.simulate(shifted)), 0.0)
 
     prior = 1 / (np.array([PRIOR_GAIN, PRIOR_DEAD_ZONE]) * scale) ** 2
     theta = np.zeros(PARAMETERS)
@@ -262,31 +251,13 @@ def _step(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return a Gauss-Newton step [2], JᵀJ + P [2, 2], and the score of each test [T, 2]."""
     errors = errors_at(theta)
-    slopes = np.stack([_slope(errors_at, theta, step) for step in np.diag(DIFFERENCE * scale)])
+    # ∂ŷ/∂θ by central differences, shape [2, T, N]
+    steps = np.diag(DIFFERENCE * scale)
+    slopes = np.stack([(errors_at(theta - d) - errors_at(theta + d)) / (2 * np.max(d)) for d in steps])
     weight = np.diag(prior * np.sum(errors**2) / max(np.count_nonzero(errors), 1))
     normal = np.einsum("ptn,qtn->pq", slopes, slopes) + weight
     scores = np.einsum("ptn,tn->tp", slopes, errors)
     return np.linalg.solve(normal, scores.sum(axis=0) - weight @ theta), normal, scores
-
-
-def _slope(errors_at: Errors, theta: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Return ∂ŷ/∂θ along one parameter, by a central difference of the errors, shape [T, N]."""
-    return (errors_at(theta - step) - errors_at(theta + step)) / (2 * np.max(step))
-
-
-def _changed(channel: Channel, theta: np.ndarray) -> Channel:
-    changes = jnp.array([theta[0], theta[1], 0.0])
-    return replace(channel, benchmark=changed_benchmark(channel.benchmark, changes))
-
-
-def _with_dead_zone(batch: Batch, change: float) -> Batch:
-    return batch.with_dead_zones(batch.dead_zone + change)
-
-
-def _identification_covariance(identified: DirectionRow) -> np.ndarray:
-    """Return the covariance of the errors of ln gain and dead zone as identified, shape [2, 2]."""
-    errors = np.array([identified.gain_error or 0.0, identified.dead_zone_error])
-    return np.outer(errors, errors) * np.array([[1.0, identified.correlation], [identified.correlation, 1.0]])
 
 
 def _p_value(theta: np.ndarray, covariance: np.ndarray, tests: int) -> float:

@@ -353,7 +353,14 @@ def find_outliers(
     if not 0 < false_discovery_rate < 1:
         raise InputError(f"false_discovery_rate: got {false_discovery_rate}, expected between 0 and 1")
     values, errors = checked_estimates(estimates, covariances)
-    deviation, error, predictive, freedom = _comparisons(values, np.diagonal(errors, axis1=1, axis2=2))
+    variances = np.diagonal(errors, axis1=1, axis2=2)
+    comparisons = np.full((4, *values.shape), np.nan)
+    for parameter in range(values.shape[1]):
+        present = ~np.isnan(values[:, parameter])
+        if present.sum() >= FEWEST:
+            own = values[present, parameter], variances[present, parameter]
+            comparisons[:, present, parameter] = _beside_the_others(*own)
+    deviation, error, predictive, freedom = comparisons
     t = deviation / predictive
     p_value = 2 * stdtr(freedom, -np.abs(t))
     q_value = adjusted_p_values(p_value)
@@ -376,22 +383,9 @@ def find_outliers(
     )
 
 
-def _comparisons(values: np.ndarray, variances: np.ndarray) -> np.ndarray:
-    """Return the columns of `_compare` for all parameters, NaN where nothing is compared, shape [4, N, P]."""
-    comparisons = np.full((4, *values.shape), np.nan)
-    for parameter in range(values.shape[1]):
-        present = ~np.isnan(values[:, parameter])
-        if present.sum() >= FEWEST:
-            comparisons[:, present, parameter] = _compare(
-                values[present, parameter], variances[present, parameter]
-            )
-    return comparisons
-
-
-def _compare(values: np.ndarray, variances: np.ndarray) -> tuple[np.ndarray, ...]:
+def _beside_the_others(values: np.ndarray, variances: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return deviation, its error, predictive standard deviation and degrees of freedom of each machine."""
-    machines = np.arange(len(values))
-    fold = machines % min(FOLDS, len(values))
+    fold = np.arange(len(values)) % min(FOLDS, len(values))
     fit = fit_random_effects(values, variances, np.ones((len(values), 1)), fold != np.unique(fold)[:, None])
     mean, mean_variance = fit.coefficients[fold, 0], fit.covariance[fold, 0, 0]
     total = variances + fit.between[fold]

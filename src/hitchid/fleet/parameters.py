@@ -41,20 +41,19 @@ class Metadata:
     def of(self, machines: Sequence[str]) -> dict[str, Cells]:
         """Return the columns in the order of some machines; None for a machine that is not in the table."""
         lines = {machine: number for number, machine in enumerate(self.machines)}
-        found = [lines.get(machine) for machine in machines]
+        chosen = [lines.get(machine) for machine in machines]
         return {
-            name: tuple(None if line is None else cells[line] for line in found)
+            name: tuple(None if line is None else cells[line] for line in chosen)
             for name, cells in self.columns.items()
         }
 
     def notices(self, machines: Iterable[str], compared: Iterable[str]) -> tuple[str, ...]:
         """Return which of the compared machines have no line, and which lines are of no machine."""
-        known = set(machines)
         notices = []
         if absent := sorted(set(compared) - set(self.machines)):
-            notices.append(f"{self.source}: no line for {_listed(absent)}; not in the cohorts")
-        if unknown := sorted(set(self.machines) - known):
-            notices.append(f"{self.source}: there is no result for {_listed(unknown)}; left out")
+            notices.append(f"{self.source}: no line for {listed(absent)}; not in the cohorts")
+        if unknown := sorted(set(self.machines) - set(machines)):
+            notices.append(f"{self.source}: there is no result for {listed(unknown)}; left out")
         return tuple(notices)
 
 
@@ -88,7 +87,7 @@ def read_metadata(path: str | Path) -> Metadata:
         raise InputError(f"{source}: got the column '{MACHINE}' alone, expected further columns")
     repeated = [machine for machine, count in Counter(machines).items() if count > 1]
     if repeated:
-        raise InputError(f"{source}: got {_listed(repeated)} twice, expected one line for each machine")
+        raise InputError(f"{source}: got {listed(repeated)} twice, expected one line for each machine")
     return Metadata(source, tuple(machines), {name: _cells(column) for name, column in columns.items()})
 
 
@@ -119,8 +118,8 @@ def _number(text: str) -> float | None:
     return number if isfinite(number) else None
 
 
-def _listed(names: Sequence[str], most: int = 5) -> str:
-    """Return some names, and how many more there are."""
+def listed(names: Sequence[str], most: int = 5) -> str:
+    """Return the first names, and how many more there are."""
     more = len(names) - most
     return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
 
@@ -211,14 +210,8 @@ def estimates_of_row(figures: DirectionRow) -> tuple[Float[np.ndarray, " 4"], Fl
             log_scatter,
         ]
     )
-    errors = (
-        figures.gain_error,
-        figures.dead_zone_error,
-        figures.delay_error_s,
-        scatter_error,
-    )
+    errors = figures.gain_error, figures.dead_zone_error, figures.delay_error_s, scatter_error
     deviations = np.array([error if error else np.nan for error in errors], float)
     correlation = np.eye(len(NAMES))
-    limited = np.clip(figures.correlation, -MAX_CORRELATION, MAX_CORRELATION)
-    correlation[0, 1] = correlation[1, 0] = limited
+    correlation[0, 1] = correlation[1, 0] = np.clip(figures.correlation, -MAX_CORRELATION, MAX_CORRELATION)
     return np.where(np.isnan(deviations), np.nan, values), correlation * np.outer(deviations, deviations)

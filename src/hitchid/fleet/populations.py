@@ -100,7 +100,11 @@ def fit_population(estimates: Estimates, deviations: Float[np.ndarray, " p"]) ->
         change, weight = np.max(np.abs(updated - weight)), updated
         if change <= TOLERANCE:
             break
-    between = _without_zeros(_lower(elements, size))
+    lower = _lower(elements, size)
+    between = lower @ lower.T
+    is_zero = np.diagonal(between) <= 4 * NO_SPREAD**2  # a zero of the search
+    between[is_zero] = 0.0
+    between[:, is_zero] = 0.0
     return JointPopulation(_mean(estimates, precisions(estimates, between), weight), between, weight)
 
 
@@ -109,15 +113,6 @@ def _lower(elements: np.ndarray, size: int) -> np.ndarray:
     lower = np.zeros((size, size))
     lower[np.tril_indices(size)] = elements
     return lower
-
-
-def _without_zeros(lower: np.ndarray) -> np.ndarray:
-    """Return Σ = L Lᵀ with variances that are zeros of the search set to zero."""
-    between = lower @ lower.T
-    without = np.diagonal(between) <= 4 * NO_SPREAD**2
-    between[without] = 0.0
-    between[:, without] = 0.0
-    return between
 
 
 def _mean(estimates: Estimates, precision: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -226,8 +221,22 @@ def fit_hierarchy(
     scaled = estimates_of((values - centre) / scale, errors / squared_scale, robust=robust)
     fit = fit_population(scaled, deviations)
     population = JointPopulation(centre + scale * fit.mean, squared_scale * fit.between, fit.weights)
+    mean, estimated = population.mean, estimates_of(values, errors, robust=robust)
     mean_factor = constants_of(len(counts), robust=robust).mean_factor
-    return _hierarchy(estimates_of(values, errors, robust=robust), population, counts, spreads, mean_factor)
+    mean_covariance = mean_factor * np.linalg.inv(precisions(estimated, population.between).sum(axis=0))
+    machine_values, value_deviations = _machine_values(estimated, population, mean_covariance)
+    mean_deviations = np.sqrt(np.diagonal(mean_covariance))
+    return Hierarchy(
+        mean,
+        mean_covariance,
+        _interval(mean, stdtrit(counts - 1, (1 + LEVEL) / 2) * mean_deviations),
+        population.between,
+        spreads,
+        machine_values,
+        value_deviations,
+        _interval(machine_values, ndtri((1 + LEVEL) / 2) * value_deviations),
+        population.weights,
+    )
 
 
 def _marginal(
@@ -242,30 +251,6 @@ def _marginal(
     scale = float(np.sqrt(between + np.median(variances)))
     interval = spread_interval(values, variances, robust=robust)
     return float(fit.coefficients[0, 0]), scale, max(START, np.sqrt(between) / scale), interval
-
-
-def _hierarchy(
-    estimates: Estimates,
-    population: JointPopulation,
-    counts: np.ndarray,
-    spreads: np.ndarray,
-    mean_factor: float,
-) -> Hierarchy:
-    mean = population.mean
-    mean_covariance = mean_factor * np.linalg.inv(precisions(estimates, population.between).sum(axis=0))
-    values, deviations = _machine_values(estimates, population, mean_covariance)
-    mean_deviations = np.sqrt(np.diagonal(mean_covariance))
-    return Hierarchy(
-        mean,
-        mean_covariance,
-        _interval(mean, stdtrit(counts - 1, (1 + LEVEL) / 2) * mean_deviations),
-        population.between,
-        spreads,
-        values,
-        deviations,
-        _interval(values, ndtri((1 + LEVEL) / 2) * deviations),
-        population.weights,
-    )
 
 
 def _interval(middle: np.ndarray, half_width: np.ndarray) -> np.ndarray:
@@ -308,13 +293,7 @@ class Population(NamedTuple):
 def hierarchies_of(
     parameters: Sequence[FleetParameter], estimates: np.ndarray, covariances: np.ndarray
 ) -> dict[str, tuple[tuple[int, ...], Hierarchy]]:
-    """Return direction to the parameters that at least three machines have, and their model.
-
-    Args:
-        parameters: shape [P].
-        estimates: shape [N, P], NaN where missing.
-        covariances: of their errors, shape [N, P, P].
-    """
+    """Return direction to the parameters that at least three machines have, and their model."""
     enough = np.sum(~np.isnan(estimates), axis=0) >= FEWEST
     hierarchies = {}
     for direction in dict.fromkeys(parameter.direction for parameter in parameters):
@@ -340,16 +319,16 @@ def populations_of(
     counts = np.sum(~np.isnan(estimates), axis=0)
     populations = [Population(int(count)) for count in counts]
     for columns, fit in hierarchies.values():
-        for place, column in enumerate(columns):
-            mean, variance = float(fit.mean[place]), float(fit.mean_covariance[place, place])
-            deviation = float(np.sqrt(fit.between[place, place] + variance))
+        for row, column in enumerate(columns):
+            mean, variance = float(fit.mean[row]), float(fit.mean_covariance[row, row])
+            deviation = float(np.sqrt(fit.between[row, row] + variance))
             half_width = float(stdtrit(counts[column] - 1, (1 + LEVEL) / 2)) * deviation
             populations[column] = Population(
                 int(counts[column]),
                 mean,
-                _ends(fit.mean_interval[place]),
-                float(fit.spread[place]),
-                _ends(fit.spread_interval[place]),
+                _ends(fit.mean_interval[row]),
+                float(fit.spread[row]),
+                _ends(fit.spread_interval[row]),
                 (mean - half_width, mean + half_width),
             )
     return tuple(populations)

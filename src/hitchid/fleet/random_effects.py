@@ -1,6 +1,5 @@
 """Random-effects regression of one parameter over machines, robust to outlying ones."""
 
-from collections.abc import Callable
 from functools import cache
 from typing import NamedTuple
 
@@ -9,15 +8,14 @@ from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 from scipy.optimize import root_scalar
 from scipy.special import chdtr, chdtri, ndtr
+from scipy.stats import false_discovery_control
 
 from hitchid.errors import InputError
 
 # Weights that bound the influence of outlying machines, and their constants at the normal distribution.
 
 CLIP = 2.0  # standard deviations beyond which a machine loses weight; chosen: 88 % efficient for the variance
-INSIDE = float(
-    2 * ndtr(CLIP) - 1
-)  # share of a normal distribution within CLIP, for every number of parameters
+INSIDE = float(2 * ndtr(CLIP) - 1)  # share of a normal distribution within CLIP, for any number of parameters
 
 
 class NormalConstants(NamedTuple):
@@ -36,9 +34,8 @@ class NormalConstants(NamedTuple):
     mean_factor: float
 
 
-PLAIN = NormalConstants(
-    float(np.finfo(float).max), 1.0, 1.0, 1.0
-)  # of plain REML, where no machine loses weight
+# Of plain REML, where no machine loses weight.
+PLAIN = NormalConstants(float(np.finfo(float).max), 1.0, 1.0, 1.0)
 
 
 @cache
@@ -48,18 +45,19 @@ def normal_constants(parameters: int = 1) -> NormalConstants:
     The variance solves Σ min(d², c²)/κ = n p: its efficiency is 2 p F²/Var min(d², c²), F = P(χ²ₚ₊₂ < c²).
     The mean solves Σ w(d²) r = 0: its variance is p E[w² d²]/E[p w + 2 d² w′]² times that of the plain mean.
 
-    Args:
-        parameters: p, length of the vectors.
-
     Source: Huber 1981, Robust Statistics, proposal 2 and sec. 8 (M-estimates of a scatter matrix).
     """
+    from scipy.integrate import quad
+    from scipy.stats import chi2
+
     p = parameters
     clip = float(chdtri(p, 1 - INSIDE))
     inside, inside_2, inside_4 = (float(chdtr(p + more, clip)) for more in (0, 2, 4))
     outside = 1 - inside
     clipped = p * inside_2 + clip * outside
     variance = p * (p + 2) * inside_4 + clip**2 * outside - clipped**2
-    inverse = _inverse_beyond(p, clip)
+    # E[1/d²; d² > c²]
+    inverse = float(quad(lambda square: chi2.pdf(square, p) / square, clip, np.inf)[0])
     squared_score = p * inside_2 + clip**2 * inverse
     slope = p * inside + (p - 2) * clip * inverse
     return NormalConstants(clip, clipped / p, 2 * p * inside_2**2 / variance, squared_score * p / slope**2)
@@ -70,14 +68,6 @@ def constants_of(parameters: int, *, robust: bool) -> NormalConstants:
     return normal_constants(parameters) if robust and parameters else PLAIN
 
 
-def _inverse_beyond(parameters: int, clip: float) -> float:
-    """Return E[1/d²; d² > c²] for d² ~ χ²ₚ."""
-    from scipy.integrate import quad
-    from scipy.stats import chi2
-
-    return float(quad(lambda square: chi2.pdf(square, parameters) / square, clip, np.inf)[0])
-
-
 def weights(squared: np.ndarray, clip: np.ndarray | float) -> np.ndarray:
     """Return min(1, c²/d²), of the shape of the squared distances."""
     return clip / np.maximum(squared, clip)
@@ -86,10 +76,7 @@ def weights(squared: np.ndarray, clip: np.ndarray | float) -> np.ndarray:
 # Interval of the standard deviation of one parameter between machines.
 
 LEVEL = 0.95  # of the interval
-MEAN_ITERATIONS, MEAN_TOLERANCE = (
-    100,
-    1e-9,
-)  # of the mean; relative to the smallest standard deviation; chosen
+MEAN_ITERATIONS, MEAN_TOLERANCE = 100, 1e-9  # of the mean; relative to the smallest deviation; chosen
 LARGEST = 1e6  # upper end of the search, in sums of squares of the values; chosen
 
 
@@ -120,14 +107,10 @@ def spread_interval(
 
         if excess(0.0) <= 0:
             return 0.0
-        return float(np.sqrt(_root(excess, largest)))
+        solution = root_scalar(excess, bracket=(0.0, largest), method="brentq", rtol=MEAN_TOLERANCE)
+        return float(np.sqrt(solution.root))
 
     return end((1 - LEVEL) / 2), end((1 + LEVEL) / 2)
-
-
-def _root(function: Callable[[float], float], largest: float) -> float:
-    found = root_scalar(function, bracket=(0.0, largest), method="brentq", rtol=MEAN_TOLERANCE)
-    return found.root
 
 
 def _clipped_squares(values: np.ndarray, total: np.ndarray, constants: NormalConstants) -> float:
@@ -148,21 +131,12 @@ def _clipped_squares(values: np.ndarray, total: np.ndarray, constants: NormalCon
 def adjusted_p_values(p_values: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
     """Return the smallest false discovery rate at which each test is a discovery.
 
-    With p₍₁₎ ≤ … ≤ p₍ₘ₎: q₍ᵢ₎ = min over j ≥ i of m p₍ⱼ₎/j.
-
-    Args:
-        p_values: of all tests, of any shape; NaN where there is no test, which is not counted.
-
-    Returns:
-        Adjusted p-values, of the same shape; NaN where there is no test.
+    NaN is where there is no test, which is not counted.
 
     Source: Benjamini & Hochberg 1995, Controlling the false discovery rate.
     """
-    adjusted = np.full(p_values.shape, np.nan)
-    tested = np.flatnonzero(~np.isnan(p_values))
-    order = tested[np.argsort(p_values.flat[tested], kind="stable")]
-    rates = p_values.flat[order] * tested.size / np.arange(1, tested.size + 1)
-    adjusted.flat[order] = np.minimum(1.0, np.minimum.accumulate(rates[::-1])[::-1])
+    adjusted, tested = np.full(p_values.shape, np.nan), ~np.isnan(p_values)
+    adjusted[tested] = false_discovery_control(p_values[tested])
     return adjusted
 
 
@@ -191,11 +165,6 @@ def checked_estimates(estimates: ArrayLike, covariances: ArrayLike) -> tuple[np.
     values[missing] = np.nan
     errors[missing] = np.nan
     errors.swapaxes(1, 2)[missing] = np.nan
-    _check_definite(errors, missing)
-    return values, errors
-
-
-def _check_definite(errors: np.ndarray, missing: np.ndarray) -> None:
     filled = np.where(missing[:, :, None] | missing[:, None, :], np.eye(missing.shape[1]), errors)
     smallest = np.linalg.eigvalsh((filled + filled.swapaxes(1, 2)) / 2)[:, 0] if filled.size else np.ones(0)
     wrong = np.flatnonzero(~(smallest > 0))
@@ -204,6 +173,7 @@ def _check_definite(errors: np.ndarray, missing: np.ndarray) -> None:
             f"covariances: machine {wrong[0]}: got the smallest eigenvalue {smallest[wrong[0]]:.3g}, "
             "expected a positive one"
         )
+    return values, errors
 
 
 ITERATIONS, TOLERANCE = 200, 1e-9  # of the variance; relative to the variance of an estimate; chosen

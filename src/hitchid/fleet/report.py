@@ -1,15 +1,22 @@
 """Report of a fleet: which machines stand out, cohorts, trends, failures, and what it took."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TypeVar
+
+import numpy as np
 
 from hitchid._support.tables import Cell, DataTable
 from hitchid.fleet import figures as figures
-from hitchid.fleet import tables as tables
 from hitchid.fleet.comparison import FleetComparison, comparison_metrics
-from hitchid.fleet.findings import detectable, fleet_findings
+from hitchid.fleet.findings import amount, detectable, fleet_findings, q_text, signed_amount, signed_range
+from hitchid.fleet.outliers import FleetTrends
+from hitchid.fleet.parameters import FleetParameter, listed
+from hitchid.fleet.row import Row
 from hitchid.report import numbers
 from hitchid.report.document import Block, Document, Picture, Pictures, ReportSection, Table, Text, sentence
 
+MOST_LINES = 100  # of a table of machines; chosen: the data tables have all
+MEGABYTE = 1e6  # bytes
 SUMMARY = ("parameter", "machines", "mean", "spread")  # columns in a terminal
 EXPLANATION = (
     "Each machine is compared with all others: its estimate with their mean, in terms of its error, of the "
@@ -33,13 +40,7 @@ TRENDS = "Slopes of lines through the results of several dates, weighted by thei
 
 
 def fleet_report(comparison: FleetComparison, *, source: str, command: str = "") -> Document:
-    """Return the report of a fleet.
-
-    Args:
-        comparison: of the machines.
-        source: store of the results.
-        command: the command line that wrote the report.
-    """
+    """Return the report of a fleet, from the store of the results that a command line compared."""
     machines = numbers.count(len(comparison.rows), "machine")
     return Document(
         title=f"Fleet of {machines}",
@@ -58,22 +59,22 @@ def _sections(comparison: FleetComparison, command: str) -> Iterator[ReportSecti
         yield _outliers(comparison)
         yield _machines(comparison)
     if comparison.cohorts:
-        yield ReportSection("Cohorts", (Text(COHORTS), tables.cohort_table(comparison)))
+        yield ReportSection("Cohorts", (Text(COHORTS), _cohort_table(comparison)))
     if comparison.trends is not None:
-        yield ReportSection("Trends", (Text(TRENDS), tables.trend_table(comparison, comparison.trends)))
+        yield ReportSection("Trends", (Text(TRENDS), _trend_table(comparison, comparison.trends)))
     if comparison.failed:
-        yield ReportSection("Failures", (tables.failure_table(comparison.failed),))
+        yield ReportSection("Failures", (_failure_table(comparison.failed),))
     if comparison.not_compared:
-        yield ReportSection("Not compared", (tables.not_compared_table(comparison),))
+        yield ReportSection("Not compared", (_not_compared_table(comparison),))
     if any(row.cost is not None for row in comparison.rows):
-        yield ReportSection("Cost", (tables.cost_table(comparison.rows),))
+        yield ReportSection("Cost", (_cost_table(comparison.rows),))
     yield ReportSection("How to reproduce", (Table("Origin", ("what", "value"), (("command", command),)),))
 
 
 def _outliers(comparison: FleetComparison) -> ReportSection:
     blocks: list[Block] = [Text(EXPLANATION)]
     if comparison.standing_out:
-        blocks += [tables.outlier_table(comparison), Text(INTERVALS)]
+        blocks += [_outlier_table(comparison), Text(INTERVALS)]
     if text := detectable(comparison):
         blocks.append(Text(text))
     if figures.verdict_rows(comparison)[0]:
@@ -82,19 +83,16 @@ def _outliers(comparison: FleetComparison) -> ReportSection:
 
 
 def _machines(comparison: FleetComparison) -> ReportSection:
-    pictures = [_forest(comparison, direction) for direction in _directions(comparison)]
+    directions = dict.fromkeys(parameter.direction for parameter in comparison.parameters)
+    pictures = [_forest(comparison, direction) for direction in directions]
     if figures.directions_with_both(comparison):
         pictures += [_scatter(comparison), _speed_fan(comparison)]
     kinds = "; ".join(
         f"{direction}: {kind.structure} in {kind.unit('gain')}"
         for direction, kind in comparison.kinds.items()
     )
-    blocks = (Text(KINDS.format(kinds=kinds)), tables.population_table(comparison), Pictures(tuple(pictures)))
+    blocks = (Text(KINDS.format(kinds=kinds)), _population_table(comparison), Pictures(tuple(pictures)))
     return ReportSection("Machines beside each other", blocks)
-
-
-def _directions(comparison: FleetComparison) -> list[str]:
-    return list(dict.fromkeys(parameter.direction for parameter in comparison.parameters))
 
 
 def _verdicts(comparison: FleetComparison) -> Picture:
@@ -168,7 +166,162 @@ def _columns(table: DataTable, direction: str = "") -> dict[str, list[Cell]]:
 
 def _summary(comparison: FleetComparison) -> Iterator[Table]:
     if comparison.machines:
-        full = tables.population_table(comparison)
+        full = _population_table(comparison)
         columns = [full.header.index(name) for name in SUMMARY]
         rows = tuple(tuple(row[column] for column in columns) for row in full.rows)
         yield Table(full.title, SUMMARY, rows)
+
+
+# Tables: machines that stand out, populations, cohorts, trends, failures, costs.
+
+
+def _outlier_table(comparison: FleetComparison) -> Table:
+    """Return the parameters in which machines stand out, smallest p-value first, at most a hundred."""
+    outliers = comparison.outliers
+    header = ("machine", "parameter", "value", "beside the others", "interval", "q")
+    rows = []
+    for cell in outliers.ranking[:MOST_LINES]:
+        machine, column = cell
+        parameter = comparison.parameters[column]
+        deviation, lower, upper = (
+            float(parameter.difference(numbers_of_all[cell]))
+            for numbers_of_all in (outliers.deviation, outliers.lower, outliers.upper)
+        )
+        error = float(np.sqrt(comparison.covariances[machine, column, column]))
+        value = float(parameter.value(comparison.estimates[cell]))
+        text = numbers.with_error(value, value * error if parameter.logarithmic else error)
+        rows.append(
+            (
+                comparison.machines[machine],
+                _name(parameter),
+                numbers.with_unit(f"({text})" if "±" in text else text, parameter.unit),
+                signed_amount(parameter, deviation),
+                signed_range(parameter, lower, upper),
+                _q(outliers.q_value[cell]),
+            )
+        )
+    return Table("Differences, most certain first", header, tuple(rows))
+
+
+def _population_table(comparison: FleetComparison) -> Table:
+    """Return mean and spread of each parameter over machines."""
+    header = ("parameter", "machines", "mean", "95 % interval", "spread", "95 % of the machines")
+    rows = []
+    for parameter, population in zip(comparison.parameters, comparison.populations, strict=True):
+        values = (
+            _value(parameter, population.mean),
+            _ends(parameter, population.mean_interval),
+            amount(parameter, population.spread),
+            _ends(parameter, population.prediction_interval),
+        )
+        shown = ("",) * len(values) if np.isnan(population.mean) else values
+        rows.append((_name(parameter), str(population.machines), *shown))
+    return Table("Distribution over machines", header, tuple(rows))
+
+
+def _cohort_table(comparison: FleetComparison) -> Table:
+    """Return the mean of each category, or the slope over a column of numbers, smallest p-value first."""
+    rows = []
+    for effect in sorted(comparison.cohorts, key=lambda effect: effect.p_value):
+        parameter = comparison.parameters[effect.parameter]
+        labels = effect.labels or ("for each unit",)
+        for label, value, interval in zip(labels, effect.values, effect.intervals, strict=True):
+            if effect.labels:
+                cells = _value(parameter, value), _ends(parameter, interval)
+            else:
+                cells = _slope(parameter, value, interval)
+            rows.append((effect.column, label, _name(parameter), *cells, _q(effect.q_value)))
+    header = ("column", "category", "parameter", "mean or slope", "95 % interval", "q")
+    return Table("Means and slopes", header, tuple(rows[:MOST_LINES]))
+
+
+def _trend_table(comparison: FleetComparison, trends: FleetTrends) -> Table:
+    """Return the slope of each parameter of the fleet and of the machines that change, per year."""
+    rows = []
+    for column, parameter in enumerate(comparison.parameters):
+        if not np.isnan(trends.fleet_slopes[column]):
+            slope = _slope(parameter, trends.fleet_slopes[column], trends.fleet_intervals[column])
+            rows.append(("all machines", _name(parameter), *slope, ""))
+    lines = {int(machine): line for line, machine in enumerate(trends.machines)}
+    for machine, column in trends.ranking[:MOST_LINES]:
+        cell, parameter = (lines[machine], column), comparison.parameters[column]
+        if trends.q_values[cell] <= comparison.false_discovery_rate:
+            slope = _slope(parameter, trends.slopes[cell], (trends.lower[cell], trends.upper[cell]))
+            rows.append((comparison.machines[machine], _name(parameter), *slope, _q(trends.q_values[cell])))
+    header = ("machine", "parameter", "change a year", "95 % interval", "q")
+    return Table("Changes a year", header, tuple(rows))
+
+
+Key = TypeVar("Key", bound="str | tuple[str, ...]")
+Item = TypeVar("Item")
+
+
+def _most_frequent_first(pairs: Iterable[tuple[Key, Item]]) -> list[tuple[Key, list[Item]]]:
+    groups: dict[Key, list[Item]] = {}
+    for key, item in pairs:
+        groups.setdefault(key, []).append(item)
+    return sorted(groups.items(), key=lambda group: (-len(group[1]), group[0]))
+
+
+def _failure_table(rows: Sequence[Row]) -> Table:
+    """Return the failed machines by cause."""
+    lines = (
+        (cause, str(len(own)), listed([row.machine for row in own]), own[0].message)
+        for cause, own in _most_frequent_first((row.cause, row) for row in rows)
+    )
+    return Table("By cause", ("cause", "machines", "names", "message of the first"), tuple(lines))
+
+
+def _not_compared_table(comparison: FleetComparison) -> Table:
+    """Return what is left out of the comparison by direction and reason."""
+    pairs = (((left.direction, left.reason), left.machine) for left in comparison.not_compared)
+    rows = ((*key, str(len(machines)), listed(machines)) for key, machines in _most_frequent_first(pairs))
+    return Table("By reason", ("direction", "reason", "machines", "names"), tuple(rows))
+
+
+def _cost_table(rows: Sequence[Row]) -> Table:
+    """Return what the identifications took: median and 95 % quantile of a machine, and the sum."""
+    costs = [row.cost for row in rows if row.cost is not None]
+    quantities = (
+        ("elapsed time / s", [cost.seconds for cost in costs], True),
+        ("core-seconds / s", [cost.core_seconds for cost in costs], True),
+        ("read / MB", [cost.bytes_read / MEGABYTE for cost in costs], True),
+        ("written / MB", [cost.bytes_written / MEGABYTE for cost in costs], True),
+        ("largest memory of the worker / MB", [cost.peak_bytes / MEGABYTE for cost in costs], False),
+    )
+    lines = (
+        (
+            name,
+            *(numbers.digits(float(np.quantile(values, share))) for share in (0.5, 0.95)),
+            numbers.digits(sum(values)) if is_sum else "",
+        )
+        for name, values, is_sum in quantities
+        if values
+    )
+    title = f"Cost of {numbers.count(len(costs), 'machine')}"
+    return Table(title, ("quantity", "median", "95 % quantile", "sum"), tuple(lines))
+
+
+def _name(parameter: FleetParameter) -> str:
+    return f"{parameter.direction}: {parameter.name}"
+
+
+def _value(parameter: FleetParameter, estimate: float) -> str:
+    return numbers.with_unit(numbers.digits(float(parameter.value(estimate))), parameter.unit)
+
+
+def _q(q_value: float) -> str:
+    return q_text(float(q_value)).removeprefix("q ").removeprefix("= ")
+
+
+def _ends(parameter: FleetParameter, interval: tuple[float, float]) -> str:
+    lower, upper = (float(parameter.value(end)) for end in interval)
+    return numbers.interval((lower, upper))
+
+
+def _slope(
+    parameter: FleetParameter, slope: float, interval: Sequence[float] | np.ndarray
+) -> tuple[str, str]:
+    """Return a slope and its interval, for each unit of time or of a column."""
+    lower, upper = (float(parameter.difference(end)) for end in interval)
+    return signed_amount(parameter, float(parameter.difference(slope))), signed_range(parameter, lower, upper)

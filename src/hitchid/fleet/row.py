@@ -15,7 +15,7 @@ from hitchid._support.files import canonical_json
 from hitchid.errors import InputError
 from hitchid.identification import ChannelTrace, Identification
 from hitchid.logs.campaign import Campaign
-from hitchid.model import Estimate, Estimates, Hitch, Information, Interval, Quantity
+from hitchid.model import Estimate, Hitch, Information, Quantity
 from hitchid.model.estimates import NOT_ASSESSED
 
 DONE, FAILED = "done", "failed"
@@ -224,66 +224,40 @@ HALF_WIDTH = float(norm.ppf(0.975))  # of a 95 % interval, in standard errors
 
 
 def direction_rows(identification: Identification, campaign: Campaign) -> Mapping[str, DirectionRow]:
-    """Return direction to the figures of an identified model.
-
-    Args:
-        identification: of the machine.
-        campaign: it was identified from; held-out tests are simulated.
-    """
-    held_out = held_out_errors(identification.model, campaign)
+    """Return direction to the figures of an identified model; its held-out tests are simulated."""
     return {
-        direction: _direction_row(identification.model, direction, trace, held_out.get(direction))
+        direction: _direction_row(identification.model, campaign, direction, trace)
         for direction, trace in identification.channels.items()
     }
 
 
-def held_out_errors(model: Hitch, campaign: Campaign) -> dict[str, float]:
-    """Return direction to the free-run RMSE over all samples of its held-out tests."""
-    errors = {}
-    for direction in model.channels:
-        squares = [
-            (model.simulate(record).displacement - record.displacement) ** 2
-            for record in campaign.held_out(direction)
-        ]
-        if squares:
-            errors[direction] = float(np.sqrt(np.nanmean(np.concatenate(squares))))
-    return errors
-
-
-def _direction_row(
-    model: Hitch, direction: str, trace: ChannelTrace, held_out_rmse: float | None
-) -> DirectionRow:
+def _direction_row(model: Hitch, campaign: Campaign, direction: str, trace: ChannelTrace) -> DirectionRow:
     estimates, structure = trace.phase1.assessment, model.channels[direction].benchmark.structure
     gain = next(estimate for estimate in estimates.parameters if estimate.name == structure.gain)
     information = None if trace.uncertainty is None else trace.uncertainty.information
     delay = None if trace.characteristics is None else trace.characteristics.delay
     scatter = None if trace.uncertainty is None else trace.uncertainty.load_scatter
-    gain_error, dead_zone_error = _relative_error(gain), trace.dead_zone.error.standard_error
+    gain_error = None
+    if gain.error is not None and gain.method != NOT_ASSESSED and gain.value > 0:  # not at a bound
+        gain_error = gain.error / gain.value  # of ln gain
+    held_out = [
+        (model.simulate(record).displacement - record.displacement) ** 2
+        for record in campaign.held_out(direction)
+    ]
     return DirectionRow(
-        structure=f"{structure.name}: {', '.join(_names(estimates))}",
+        structure=f"{structure.name}: {', '.join(estimate.name for estimate in estimates.parameters)}",
         gain=gain.value,
         dead_zone=model.channels[direction].dead_zone,
         gain_error=gain_error,
-        dead_zone_error=dead_zone_error,
+        dead_zone_error=trace.dead_zone.error.standard_error,
         correlation=_correlation(information, gain, gain_error),
         delay_s=None if delay is None else delay.value,
         delay_error_s=None if delay is None else _error(delay),
         load_scatter=None if scatter is None or not scatter.determined else scatter.scatter,
         rmse=trace.phase1.rmse,
-        held_out_rmse=held_out_rmse,
+        held_out_rmse=float(np.sqrt(np.nanmean(np.concatenate(held_out)))) if held_out else None,
         tests=estimates.tests,
     )
-
-
-def _names(estimates: Estimates) -> tuple[str, ...]:
-    return tuple(estimate.name for estimate in estimates.parameters)
-
-
-def _relative_error(gain: Estimate) -> float | None:
-    """Return the standard error of ln gain; None for a gain at a bound or without an error."""
-    if gain.error is None or gain.method == NOT_ASSESSED or gain.value <= 0:
-        return None
-    return gain.error / gain.value
 
 
 def _correlation(information: Information | None, gain: Estimate, gain_error: float | None) -> float:
@@ -302,6 +276,5 @@ def _correlation(information: Information | None, gain: Estimate, gain_error: fl
 
 def _error(quantity: Quantity) -> float | None:
     """Return the standard error that a closed 95 % interval has; None for an open one."""
-    ends: Interval = quantity.interval
-    lower, upper = ends
+    lower, upper = quantity.interval
     return None if lower is None or upper is None else (upper - lower) / (2 * HALF_WIDTH)

@@ -6,7 +6,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Generic
 
 from hitchid.errors import InputError
@@ -17,7 +16,6 @@ from hitchid.fleet.store import Machine, machines_of
 from hitchid.fleet.task import UNFINISHED, Acknowledgement, Job
 
 RUNNERS = ("local", "dask")
-Run = Callable[[Job, Sequence[Machine], int], Iterator[Acknowledgement]]
 
 
 @dataclass(frozen=True)
@@ -45,10 +43,12 @@ class Runner:
 
     def run(self, job: Job, machines: Sequence[Machine]) -> Iterator[Acknowledgement]:
         """Return the acknowledgement of each machine, in the order in which they end."""
-        on_cluster: Run = partial(run_on_cluster, scheduler=self.scheduler, on_page=self.on_page)
-        run: Run = on_cluster if self.name == "dask" else run_local
         count = min(self.workers or available_cores(), len(machines))
-        return run(job, machines, count) if machines else iter(())
+        if not machines:
+            return iter(())
+        if self.name == "dask":
+            return run_on_cluster(job, machines, count, self.scheduler, self.on_page)
+        return run_local(job, machines, count)
 
 
 LOCAL = Runner()
@@ -100,7 +100,9 @@ class FleetResult(Generic[OneRow]):
         groups: dict[str, list[TaskRow]] = {}
         for row in self.rows:
             if row.state == FAILED:
-                groups.setdefault(_similar(row.message), []).append(row)
+                # Without what differs between two machines: the name of a file, and numbers.
+                similar = re.sub(r"\d+", "#", re.sub(r"^\S+: ", "", row.message))
+                groups.setdefault(similar, []).append(row)
         ordered = sorted(groups.values(), key=len, reverse=True)
         return {rows[0].message: tuple(row.machine for row in rows) for rows in ordered}
 
@@ -109,12 +111,6 @@ def run_fleet(
     job: Job[OneRow], runner: Runner, row_type: type[OneRow], progress: Callable[[FleetProgress], None]
 ) -> FleetResult[OneRow]:
     """Work on each machine that has no row yet, and compact the rows.
-
-    Args:
-        job: what is to be done.
-        runner: who does it.
-        row_type: of the rows of the job.
-        progress: called before the first machine and after each.
 
     Raises:
         InputError: a store cannot be used.
@@ -125,7 +121,9 @@ def run_fleet(
             f"{job.results.url}: is in the store of logs, {job.logs.url}; expected results outside of it"
         )
     machines = machines_of(job.logs)
-    names = {each: row_name(each.name, each.signature(job.stamp(each.name))) for each in machines}
+    names = {
+        machine: row_name(machine.name, machine.signature(job.stamp(machine.name))) for machine in machines
+    }
     before = rows_in(job.results)
     todo = [machine for machine, name in names.items() if name not in before]
     if todo:
@@ -149,8 +147,3 @@ def run_fleet(
 def available_cores() -> int:
     """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _similar(message: str) -> str:
-    """Return a message without what differs between two machines: the name of a file, and numbers."""
-    return re.sub(r"\d+", "#", re.sub(r"^\S+: ", "", message))

@@ -19,7 +19,7 @@ from urllib.parse import urlsplit
 
 from hitchid.errors import InputError, OutputError
 from hitchid.fleet.store import Machine
-from hitchid.fleet.task import UNFINISHED, Acknowledgement, Job, run_task
+from hitchid.fleet.task import UNFINISHED, Acknowledgement, Job, prepare_worker, run_task
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -40,8 +40,7 @@ def run_on_cluster(
     """Yield the acknowledgement of each machine, in the order in which they end.
 
     Args:
-        job: what is to be done.
-        machines: to work on.
+        job, machines: work, and the machines it is done for.
         workers: number of processes of one thread, where the cluster is started here.
         scheduler: address of a running scheduler, `tls://host:port`, or `tcp://` on this machine; its workers
             need one thread each.
@@ -51,11 +50,17 @@ def run_on_cluster(
         InputError: dask.distributed is not installed, or the address is neither TLS nor on this machine.
     """
     try:
-        from distributed import as_completed
-
-        from hitchid.fleet.one_core import OneCore
+        from distributed import Worker, WorkerPlugin, as_completed
     except ImportError as error:
         raise InputError("dask.distributed is required: pip install 'hitchid[fleet]'") from error
+
+    class OneCore(WorkerPlugin):
+        """Gives a worker its core before it receives a machine, and a folder that dask removes if killed."""
+
+        def setup(self, worker: Worker) -> None:
+            tempfile.tempdir = worker.local_directory
+            prepare_worker()
+
     with _client(workers, scheduler) as client:
         client.register_plugin(OneCore())
         on_page(str(client.dashboard_link))
@@ -125,11 +130,6 @@ def run_local(job: Job, machines: Sequence[Machine], workers: int) -> Iterator[A
     """Yield the acknowledgement of each machine, in the order in which they end.
 
     A machine whose worker died is given to another one; after three deaths it is left unfinished.
-
-    Args:
-        job: what is to be done.
-        machines: to work on.
-        workers: number of processes.
     """
     waiting, deaths = deque(machines), Counter()
     crew: list[_Worker] = []
@@ -139,7 +139,9 @@ def run_local(job: Job, machines: Sequence[Machine], workers: int) -> Iterator[A
             for worker in crew:
                 if worker.machine is None and waiting:
                     worker.give(waiting.popleft())
-            for worker in _ready(crew):
+            # Those that have sent something, or have died.
+            ready = wait([worker.connection for worker in crew])
+            for worker in [worker for worker in crew if worker.connection in ready]:
                 machine, acknowledgement = worker.machine, worker.receive()
                 if acknowledgement is None:
                     crew.remove(worker)
@@ -214,22 +216,12 @@ class _Worker:
             self.connection.send(value)
 
 
-def _ready(crew: Sequence[_Worker]) -> list[_Worker]:
-    """Wait until a process has sent something or died, and return those that have."""
-    ready = wait([worker.connection for worker in crew])
-    return [worker for worker in crew if worker.connection in ready]
-
-
 def _work(connection: Connection, folder: str) -> None:
     """Work on machines until the connection is closed; logs and models are kept in a folder meanwhile."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all processes of a terminal
     tempfile.tempdir = os.environ["TMPDIR"] = folder
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    from hitchid.fleet.task import prepare_worker
-
     prepare_worker()  # before the settings of the job import JAX
-    from hitchid.fleet.task import run_task
-
     try:
         job = connection.recv()
         while True:

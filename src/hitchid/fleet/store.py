@@ -166,7 +166,7 @@ class Store:
         except ImportError as error:
             raise InputError("fsspec is required for fleets: pip install 'hitchid[fleet]'") from error
         try:
-            system, root = url_to_fs(self.url, **({"use_listings_cache": False} if not self.is_local else {}))
+            system, root = url_to_fs(self.url, **({} if self.is_local else {"use_listings_cache": False}))
         except (ImportError, ValueError) as error:
             raise InputError(
                 f"{self.url}: cannot be used as a store: {error}; expected a folder or a URL such as s3://…"
@@ -189,7 +189,8 @@ def _stored_file(path: str, info: Mapping[str, Any], root: str) -> StoredFile:
     times = (info[field] for field in TIME_FIELDS if info.get(field) is not None)
     time = next(times, None)
     version = next(digests, str(time))
-    return StoredFile(_below(path, root), int(info.get("size") or 0), version, _iso(time))
+    name = path.removeprefix(root).lstrip("/")
+    return StoredFile(name, int(info.get("size") or 0), version, _iso(time))
 
 
 def _iso(time: object) -> str:
@@ -202,10 +203,6 @@ def _iso(time: object) -> str:
     except (ValueError, OverflowError, OSError):
         return ""
     return time.astimezone(UTC).isoformat(timespec="seconds") if isinstance(time, datetime) else ""
-
-
-def _below(path: str, root: str) -> str:
-    return path.removeprefix(root).lstrip("/")
 
 
 def _is_hidden(name: str) -> bool:
@@ -229,12 +226,7 @@ def download(store: Store, files: Iterable[StoredFile], folder: Path) -> dict[st
 # Machines of a store: each folder at its top is one machine, its files are the logs.
 
 KEY_LENGTH = 16  # characters of a digest in the name of a file: 64 bits, no two of 10⁶ alike by chance
-UNNAMEABLE = (
-    "Cc",
-    "Cs",
-    "Zl",
-    "Zp",
-)  # control characters, bytes that are no UTF-8, line separators
+UNNAMEABLE = ("Cc", "Cs", "Zl", "Zp")  # control characters, bytes that are no UTF-8, line separators
 
 
 @dataclass(frozen=True)

@@ -39,21 +39,16 @@ def prepare_worker() -> None:
 def bound_memory() -> None:
     """Drop compiled programs where the process has become large; they are read back from the cache."""
     if resident_bytes() > PROGRAMS_DROPPED_ABOVE:
+        import ctypes
         import gc
 
         import jax
 
         jax.clear_caches()
         gc.collect()
-        _return_freed_memory()
-
-
-def _return_freed_memory() -> None:
-    """Give memory that was freed back to the system; the C library of Linux keeps it for itself otherwise."""
-    import ctypes
-
-    with suppress(OSError, AttributeError):  # another system, or another C library
-        ctypes.CDLL(None).malloc_trim(0)
+        # The C library of Linux keeps freed memory for itself otherwise.
+        with suppress(OSError, AttributeError):  # another system, or another C library
+            ctypes.CDLL(None).malloc_trim(0)
 
 
 def resident_bytes() -> int:
@@ -190,9 +185,12 @@ def _outcome(job: Job, machine: Machine) -> tuple[TaskRow, bool]:
         folder.mkdir()
         contents = download(job.logs, machine.files, folder)
         key, signature = content_key(contents, stamp), machine.signature(stamp)
-        earlier = _row_with_key(job, machine.name, key)
-        if earlier is not None:
-            return replace(earlier, signature=signature, date=machine.date), False
+        # An earlier row from logs with the same content, such as logs that were copied.
+        folder_of_rows = f"{ROWS}/{machine.name}"
+        names = [f"{folder_of_rows}/{file.name}" for file in job.results.below(folder_of_rows).files()]
+        for earlier in read_rows(job.results, names, job.row_type):
+            if earlier.key == key:
+                return replace(earlier, signature=signature, date=machine.date), False
         row, written = job.row_type(machine.name, key, signature, machine.date, DONE), 0
         try:
             row, written = job.work(row, folder)
@@ -210,10 +208,3 @@ def _outcome(job: Job, machine: Machine) -> tuple[TaskRow, bool]:
         peak_bytes=peak_bytes(),
     )
     return replace(row, cost=cost), True
-
-
-def _row_with_key(job: Job, machine: str, key: str) -> TaskRow | None:
-    """Return an earlier row of a machine from logs with the same content, such as logs that were copied."""
-    folder = f"{ROWS}/{machine}"
-    names = [f"{folder}/{file.name}" for file in job.results.below(folder).files()]
-    return next((row for row in read_rows(job.results, names, job.row_type) if row.key == key), None)

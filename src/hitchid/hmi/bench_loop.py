@@ -38,8 +38,7 @@ class BenchLoop:
 
     Args:
         root: folder of the project.
-        allow_output: whether a real machine may be moved.
-        limits_file: limits of a real machine.
+        allow_output, limits_file: whether a real machine may be moved, and its limits.
         longest_silence_s: without a sign of life while armed or running, s.
         disk: that takes what is written.
         watch: makes the watchdog of a source that is armed, from what sends zero and the longest silence, s;
@@ -69,11 +68,11 @@ class BenchLoop:
         self._commands = CLOSED
         self._requests: Mapping[str, Callable[[Request, float], None]] = {
             "connect": self._connect,
-            "disconnect": self._disconnect,
+            "disconnect": lambda *_: self._lose_source(""),
             "arm": self._arm,
             "start": self._start,
-            "stop": self._stop,
-            "reset": self._reset,
+            "stop": lambda request, _: self.stop(str(request.get("reason", "stopped by the operator"))[:200]),
+            "reset": lambda *_: self._settle(self._safety.reset(is_connected=self._connected is not None)),
             "target": self._set_target,
             "record": self._record,
         }
@@ -120,8 +119,15 @@ class BenchLoop:
     def tick(self, now_s: float) -> list[Reading]:
         """Check the signs of life, and exchange a sample with the source; in a fast run several."""
         self._settle(self._safety.check(now_s, self._longest_silence_s))
-        self._check_lateness(now_s)
-        self._check_disk()
+        # Late, such as after the process was stopped for a while and goes on.
+        late_s, self._ticked_s = now_s - self._ticked_s - self.tick_s, now_s
+        if self.state is State.RUNNING and late_s > self._latest_s:
+            self.stop(f"the bench loop was late by {late_s:.2g} s")
+        try:
+            self._disk.check()
+        except OutputError as error:
+            self.stop(str(error))
+            self._end_recording()
         speed = self._connected.speed if self._connected and self.state is State.RUNNING else 1
         readings: list[Reading] = []
         for _ in range(speed):
@@ -160,24 +166,10 @@ class BenchLoop:
             "now_s": self._time_s,
         }
 
-    def _check_lateness(self, now_s: float) -> None:
-        """Stop a run whose tick is late, such as after the process was stopped for a while and goes on."""
-        late_s, self._ticked_s = now_s - self._ticked_s - self.tick_s, now_s
-        if self.state is State.RUNNING and late_s > self._latest_s:
-            self.stop(f"the bench loop was late by {late_s:.2g} s")
-
     @property
     def _latest_s(self) -> float:
         """How late a tick may be, s; a virtual source stands still meanwhile, and so holds no old command."""
         return self._longest_silence_s if self.is_virtual else LATEST_S
-
-    def _check_disk(self) -> None:
-        """Stop, and end the recording, where a log is not written."""
-        try:
-            self._disk.check()
-        except OutputError as error:
-            self.stop(str(error))
-            self._end_recording()
 
     def _sample(self, now_s: float) -> Sequence[Reading]:
         """Read, decide, write and record: the commands of a sample follow from its own displacement."""
@@ -201,37 +193,30 @@ class BenchLoop:
             self._lose_source(_sentence(error))
             return ()
         readings = [_with_commands(reading, self._commands) for reading in readings]
-        self._record_samples(readings)
-        return readings
-
-    def _decide(self) -> np.ndarray:
-        """Advance the run by one sample, and return the commands that may be sent."""
-        try:
-            if self.state is not State.RUNNING or self._run is None or not self._run.has_folder:
-                return CLOSED
-            if not self._run.advance(self._displacement):
-                self._settle(self._safety.finish())
-            return self._allowed_commands()
-        except Exception as error:  # whatever a program or a controller raises closes the valves
-            self.stop(_sentence(error))
-            return CLOSED
-
-    def _record_samples(self, readings: Sequence[Reading]) -> None:
         if self._recorder is not None:
             self._recorder.append(readings)
         if self._run is not None:
             self._run.record(readings)
+        return readings
 
-    def _allowed_commands(self) -> np.ndarray:
-        """Return the commands of the running program within their limits; zero in any other state."""
-        limits = self._connected.limits if self._connected else None
-        if self.state is not State.RUNNING or self._run is None or limits is None:
+    def _decide(self) -> np.ndarray:
+        """Advance the run by one sample; return its commands within their limits, zero in any other state."""
+        try:
+            limits = self._connected.limits if self._connected else None
+            if self.state is not State.RUNNING or self._run is None or not self._run.has_folder:
+                return CLOSED
+            if not self._run.advance(self._displacement):
+                self._settle(self._safety.finish())
+            if self._run is None or limits is None:
+                return CLOSED
+            wanted = np.nan_to_num(self._run.step.commands, nan=0.0, posinf=0.0, neginf=0.0)
+            if np.all(wanted > 0):
+                self.stop("both valves were commanded at once")
+                return CLOSED
+            return np.clip(wanted, 0.0, limits.commands)
+        except Exception as error:  # whatever a program or a controller raises closes the valves
+            self.stop(_sentence(error))
             return CLOSED
-        wanted = np.nan_to_num(self._run.step.commands, nan=0.0, posinf=0.0, neginf=0.0)
-        if np.all(wanted > 0):
-            self.stop("both valves were commanded at once")
-            return CLOSED
-        return np.clip(wanted, 0.0, limits.commands)
 
     def _take(self, connected: ConnectedSource, readings: Sequence[Reading], now_s: float) -> None:
         """Take the newest displacement; stop where there is none, or one outside the limits."""
@@ -287,9 +272,6 @@ class BenchLoop:
             self._measured_s = 0.0
         self._settle(connected)
 
-    def _disconnect(self, *_: object) -> None:
-        self._lose_source("")
-
     def _arm(self, request: Request, now_s: float) -> None:
         plan = plans.read_plan(request.get("plan"))
         armed = self._safety.arm(is_attended=not plan.unattended, now_s=now_s)
@@ -328,12 +310,6 @@ class BenchLoop:
             raise InputError("the hitch has moved since it was armed; stop, reset and arm again")
         run.begin()
         self._safety = running
-
-    def _stop(self, request: Request, _: float) -> None:
-        self.stop(str(request.get("reason", "stopped by the operator"))[:200])
-
-    def _reset(self, *_: object) -> None:
-        self._settle(self._safety.reset(is_connected=self._connected is not None))
 
     def _set_target(self, request: Request, _: float) -> None:
         target = checks.number(request.get("mm"), "mm")

@@ -134,7 +134,7 @@ def _answer(loop: BenchLoop, link: Link, request: dict) -> None:
     if kind in (
         "connect",
         "arm",
-    ):  # what is there by now stays: a tick should not wait while it is looked through
+    ):  # what is there stays: no tick should wait while it is looked through
         gc.collect()
         gc.freeze()
     if kind in ("server_alive", "page_alive"):  # of the time it was given, not of the time it is read

@@ -6,12 +6,10 @@ import json
 import os
 import socket
 import subprocess
-import sys
 import threading
 from collections.abc import Callable, Mapping
-from multiprocessing.connection import Connection
 
-from hitchid._support.processes import Outbox
+from hitchid._support.processes import Outbox, connected_module
 
 
 class Child:
@@ -31,15 +29,7 @@ class Child:
         on_message: Callable[[bytes], None],
         on_end: Callable[[], None],
     ) -> None:
-        own, other = socket.socketpair()
-        with other:
-            self.process = subprocess.Popen(  # noqa: S603 - this Python, a module of this package
-                [sys.executable, "-P", "-m", module, str(other.fileno()), json.dumps(settings)],
-                pass_fds=(other.fileno(),),
-                start_new_session=True,  # a closed terminal or Ctrl-Z must not take it along
-                env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
-            )
-        self._connection = Connection(own.detach())
+        self.process, self._connection = connected_module(module, json.dumps(settings), new_session=True)
         self.outbox = Outbox(self._connection)
         arguments = (asyncio.get_running_loop(), on_message, on_end)
         threading.Thread(target=self._receive, args=arguments, daemon=True).start()

@@ -14,7 +14,7 @@ from hitchid.bench.parameter_files import load_rig, parameter_sets
 from hitchid.errors import InputError
 from hitchid.hmi import project
 from hitchid.hmi.plans import Limits, limits_of_rig, read_limits
-from hitchid.hmi.source import CLOSED, DISPLACEMENT, REQUIRED, Reading, Source
+from hitchid.hmi.source import CLOSED, REQUIRED, Reading, Source
 from hitchid.hmi.sources import make_source
 
 FASTEST = 20  # samples of a virtual source in a tick at most; chosen: more than two cores reach
@@ -40,11 +40,6 @@ class ConnectedSource:
     speed: int
     limits: Limits | None
     takes_output: bool
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Signal to its unit."""
-        return {signal.name: signal.unit for signal in self.source.signals}
 
     @property
     def is_watched(self) -> bool:
@@ -86,43 +81,34 @@ class ConnectedSource:
 def connect(
     request: Mapping[str, Any], root: Path, *, limits_file: Path | None, allow_output: bool
 ) -> ConnectedSource:
-    """Return the source of a request, open.
-
-    Args:
-        request: `source` and its `options`.
-        root: folder of the project, for a log that is replayed.
-        limits_file: of a real machine; the virtual bench has its own limits.
-        allow_output: whether a real machine may be moved.
+    """Return the source of a request, open; a virtual bench has its own limits, not those of the file.
 
     Raises:
         InputError: there is no such source, or it, its options or its limits cannot be used.
     """
     name, options = str(request.get("source")), request.get("options", {})
-    text = _text(name, checks.instance(options, dict, "options", "a table"), root)
+    checks.instance(options, dict, "options", "a table")
+    text = name
+    if name == "rig":
+        text = f"rig:{checks.one_of(options.get('rig', 'nominal'), parameter_sets(), 'rig')}"
+    elif name == "replay":
+        text = f"replay:{project.file_inside(root, options.get('log'))}"
     source = make_source(text)
     _check_signals(source)
     speed = checks.integer(options.get("speed", 1), "speed", minimum=1)
     fastest = FASTEST if source.virtual else 1
     if speed > fastest:
         raise InputError(f"speed: expected at most {fastest} here, got {speed}")
-    limits = _limits(text, limits_file)
-    _check_units(source, limits)
+    if text.startswith("rig:"):
+        limits = limits_of_rig(load_rig(text.removeprefix("rig:")))
+    else:
+        limits = None if limits_file is None else read_limits(limits_file)
+    units = () if limits is None else (limits.command_unit, limits.command_unit, limits.displacement_unit)
+    for signal, unit in zip(source.signals, units, strict=False):
+        if signal.unit != unit:
+            raise InputError(f"limits: {signal.name} is in {unit}, in {source.label} in {signal.unit}")
     source.open()
     return ConnectedSource(source, name, speed, limits, source.virtual or allow_output)
-
-
-def _text(name: str, options: Mapping[str, Any], root: Path) -> str:
-    if name == "rig":
-        return f"rig:{checks.one_of(options.get('rig', 'nominal'), parameter_sets(), 'rig')}"
-    if name == "replay":
-        return f"replay:{project.file_inside(root, options.get('log'))}"
-    return name
-
-
-def _limits(text: str, limits_file: Path | None) -> Limits | None:
-    if text.startswith("rig:"):
-        return limits_of_rig(load_rig(text.removeprefix("rig:")))
-    return None if limits_file is None else read_limits(limits_file)
 
 
 def _check_signals(source: Source) -> None:
@@ -135,12 +121,3 @@ def _check_signals(source: Source) -> None:
             f"{source.label}: expected a sampling time of {SHORTEST_STEP_S:g} to {longest_s:g} s, "
             f"got {source.step_s:g} s"
         )
-
-
-def _check_units(source: Source, limits: Limits | None) -> None:
-    if limits is None:
-        return
-    for signal in source.signals[: len(REQUIRED)]:
-        unit = limits.displacement_unit if signal.name == DISPLACEMENT else limits.command_unit
-        if signal.unit != unit:
-            raise InputError(f"limits: {signal.name} is in {unit}, in {source.label} in {signal.unit}")

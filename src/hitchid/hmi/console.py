@@ -96,7 +96,12 @@ class Console:
             await asyncio.sleep(ALIVE_S)
             if self._bench is not None:
                 self._bench.send({"type": "server_alive", "at_s": time.monotonic()})
-            self._check_bench()
+            # A bench loop that hangs while something may move is told; its next word replaces that.
+            silent_s = time.monotonic() - self._heard_s
+            may_move = self._bench is not None and self._status["state"] in MOVING
+            if may_move and silent_s > LONGEST_SILENCE_S and self._status["reason"] != SILENT:
+                self._status = {**self._status, "reason": SILENT}
+                self.publish_status()
             self._check_log()
 
     async def end(self) -> None:
@@ -192,7 +197,9 @@ class Console:
             raise InputError("this page only watches; become the operator first")
         elif kind == "release":
             self.log("release", client)
-            self._end_operation(client)
+            self.clients.release(client)
+            self._operator_left()
+            self.publish_status()
         elif kind in OPERATED:
             self._operate(client, request)
             return
@@ -203,7 +210,11 @@ class Console:
         elif kind == "monitor":
             self._beside.choose(request.get("model"), self._status["source"])
         elif kind == "marker":
-            self._mark(str(request.get("text", ""))[:80])
+            if self._status["source"] is None:
+                raise InputError("marker: there is no source; connect one first")
+            marker = {"time_s": self._status["now_s"], "text": str(request.get("text", ""))[:80]}
+            self._markers = [*self._markers, marker][-MOST_MARKERS:]
+            self.publish_status()
         else:
             raise InputError(f"{kind!r:.40} is no request")
         client.put({"type": "reply", "id": request.get("id"), "error": None})
@@ -225,23 +236,10 @@ class Console:
             if not before:
                 self.clients.publish({"type": "problem", "text": f"{LOG_FILE}: {error}"})
 
-    def _check_bench(self) -> None:
-        """Tell all pages that a bench loop hangs while something may move; its next word replaces that."""
-        silent_s = time.monotonic() - self._heard_s
-        may_move = self._bench is not None and self._status["state"] in MOVING
-        if may_move and silent_s > LONGEST_SILENCE_S and self._status["reason"] != SILENT:
-            self._status = {**self._status, "reason": SILENT}
-            self.publish_status()
-
     def _log_request(self, client: Client, request: Mapping[str, Any]) -> None:
         if request["type"] not in UNLOGGED:
             content = {name: request[name] for name in LOGGED_FIELDS if name in request}
             self.log(request["type"], client, **content)
-
-    def _end_operation(self, client: Client) -> None:
-        self.clients.release(client)
-        self._operator_left()
-        self.publish_status()
 
     def _operator_left(self) -> None:
         if self._bench is not None:
@@ -300,7 +298,12 @@ class Console:
     def _from_bench(self, message: bytes) -> None:
         self._heard_s = time.monotonic()
         if message[:1] == b"b":
-            self._take_block(message[1:])
+            wall_ms, rows = block_of(message[1:])
+            if self.history is not None and rows.shape[1] + 1 == self.history.columns:
+                rows = np.column_stack([rows, self._speed.advance(rows)])
+                self.history.append(rows)
+                self.clients.publish(packed_rows(MEASURED, rows, wall_ms))
+            self._beside.take(rows, wall_ms)
             return
         content = json.loads(message[1:])
         if content["type"] == "reply":
@@ -310,37 +313,18 @@ class Console:
             self._is_zero_sent = content["zero_sent"]
             return
         before, self._status = self._status, _with_speed(content)
-        if before["source"] != self._status["source"]:
-            self._source_changed()
+        source = self._status["source"]
+        if before["source"] != source:
+            self.history, self._markers = None, []
+            if source is not None:
+                self.history = History(1 + len(source["signals"]), source["step_s"])
+                self._speed = SpeedEstimate(1 + REQUIRED.index(DISPLACEMENT), source["step_s"])
+            self._beside.leave()
         self.publish_status()
         if before["run"] and not self._status["run"]:
             self._project_changed()
         if self._status["state"] == "stopped" and before["state"] != "stopped":
             self.log("stopped", None, reason=self._status["reason"])
-
-    def _source_changed(self) -> None:
-        source = self._status["source"]
-        if source is None:
-            self.history = None
-        else:
-            self.history = History(1 + len(source["signals"]), source["step_s"])
-            self._speed = SpeedEstimate(1 + REQUIRED.index(DISPLACEMENT), source["step_s"])
-        self._markers = []
-        self._beside.leave()
-
-    def _take_block(self, message: bytes) -> None:
-        wall_ms, rows = block_of(message)
-        if self.history is not None and rows.shape[1] + 1 == self.history.columns:
-            rows = np.column_stack([rows, self._speed.advance(rows)])
-            self.history.append(rows)
-            self.clients.publish(packed_rows(MEASURED, rows, wall_ms))
-        self._beside.take(rows, wall_ms)
-
-    def _mark(self, text: str) -> None:
-        if self._status["source"] is None:
-            raise InputError("marker: there is no source; connect one first")
-        self._markers = [*self._markers, {"time_s": self._status["now_s"], "text": text}][-MOST_MARKERS:]
-        self.publish_status()
 
     def _project_changed(self) -> None:
         self.clients.publish({"type": "project_changed"})

@@ -5,7 +5,6 @@ import contextlib
 import json
 import os
 import shlex
-import sys
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -16,8 +15,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
+from hitchid._support.processes import module_command, module_environment
 from hitchid.errors import HitchError, InputError
 from hitchid.hmi import project
+from hitchid.hmi.plans import Name
 from hitchid.logs.signal_map import Strict, describe
 
 BRIEF = "brief.toml"  # settings of a brief identification, written into the project
@@ -31,8 +32,6 @@ SHORTEST_S = 0.2  # s between messages about a running job: five a second
 LONGEST_END_S = 5.0  # s that a command may take to end when it is asked to; chosen
 MOST_JOBS = 50  # that are remembered
 INSPECT_FOUND_PROBLEMS = 1  # exit code of `hitchid inspect`, whose result is complete nevertheless
-
-Name = Annotated[str, Field(pattern=f"^{project.NAME_PATTERN}$")]
 
 
 class Inspect(Strict):
@@ -94,29 +93,22 @@ def read_request(content: object, root: Path) -> tuple[Request, list[str], str]:
     for name in ("logs", "model"):
         if hasattr(request, name):
             project.inside(root, getattr(request, name))
-    arguments, out = _command(request)
-    return request, [*arguments, "--json"], out
-
-
-def _command(request: Request) -> tuple[list[str], str]:
-    """Return the arguments of the command of a request, and what it writes."""
+    further: list[str] = []
     match request:
         case Inspect():
-            return ["inspect", request.logs], ""
+            return request, [request.kind, request.logs, "--json"], ""
         case Identify():
-            out = f"{project.MODELS}/{request.name}"
-            config = ["--config", BRIEF] if request.brief else []
-            return ["identify", request.logs, "--out", out, *config], out
+            inputs, out = [request.logs], f"{project.MODELS}/{request.name}"
+            further = ["--config", BRIEF] if request.brief else []
         case Validate():
-            out = f"{project.REPORTS}/{request.name}"
-            return ["validate", request.model, request.logs, "--out", out], out
+            inputs, out = [request.model, request.logs], f"{project.REPORTS}/{request.name}"
         case Design():
+            inputs = [request.model, "--direction", request.direction]
             out = f"{project.UPLOADS}/{request.name}.csv"
-            return ["design", request.model, "--direction", request.direction, "--out", out], out
         case Tune():
-            out = f"{project.CONTROLLERS}/{request.name}.toml"
-            report = f"{project.CONTROLLERS}/{request.name}-report"
-            return ["tune", request.model, "--out", out, "--report", report], out
+            inputs, out = [request.model], f"{project.CONTROLLERS}/{request.name}.toml"
+            further = ["--report", f"{project.CONTROLLERS}/{request.name}-report"]
+    return request, [request.kind, *inputs, "--out", out, *further, "--json"], out
 
 
 @dataclass
@@ -169,7 +161,16 @@ class Job:
         """Take a line of standard error, progress as JSON or text; return whether it reports a result."""
         with contextlib.suppress(ValueError, TypeError, KeyError, OverflowError):
             update = json.loads(line)["progress"]
-            self._take_progress(update)
+            self.fraction = max(self.fraction, min(1.0, float(update["fraction"])))
+            self.stage = str(update["stage"])
+            iteration = str(update["iteration"]).rpartition(" ")[2]
+            figures, task = update["figures"], str(update["task"])
+            prefix = f"{task} {self.stage.removeprefix(f'{task}: ')}" if task else self.stage
+            for name, value in figures.items() if isinstance(figures, dict) else ():
+                curve = self.curves.setdefault(f"{prefix}: {name}", [])
+                curve.append((int(iteration) if iteration.isdecimal() else len(curve), float(value)))
+                if len(curve) > POINTS:
+                    del curve[::2]
             message = str(update.get("message", ""))
             if message:
                 self.lines.append(message)
@@ -177,18 +178,6 @@ class Job:
         if line.strip():
             self.lines.append(line.rstrip())
         return False
-
-    def _take_progress(self, update: Mapping[str, object]) -> None:
-        self.fraction = max(self.fraction, min(1.0, float(update["fraction"])))  # pyright: ignore[reportArgumentType]
-        self.stage = str(update["stage"])
-        iteration = str(update["iteration"]).rpartition(" ")[2]
-        figures, task = update["figures"], str(update["task"])
-        prefix = f"{task} {self.stage.removeprefix(f'{task}: ')}" if task else self.stage
-        for name, value in figures.items() if isinstance(figures, dict) else ():
-            curve = self.curves.setdefault(f"{prefix}: {name}", [])
-            curve.append((int(iteration) if iteration.isdecimal() else len(curve), float(value)))
-            if len(curve) > POINTS:
-                del curve[::2]
 
 
 class Jobs:
@@ -281,16 +270,10 @@ class Jobs:
             project.write_new(self._root, BRIEF, settings)
 
     async def _carry_out(self, job: Job) -> None:
-        environment = {**os.environ, "HITCHID_PROGRESS": "json", "NO_COLOR": "1"}
-        environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
         job.process = await asyncio.create_subprocess_exec(
-            sys.executable,
-            "-P",  # files of the project are no modules
-            "-m",
-            "hitchid",
-            *job.arguments,
+            *module_command("hitchid", *job.arguments),
             cwd=self._root,
-            env=environment,
+            env={**module_environment(), "HITCHID_PROGRESS": "json", "NO_COLOR": "1"},
             stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,

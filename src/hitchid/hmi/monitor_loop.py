@@ -132,9 +132,9 @@ class MonitorLoop:
         elif not self._is_running:
             self._monitor.restart(measured[0])
         self._is_running = True
-        found = self._monitor.advance(commands, measured)
-        free_run = np.column_stack([found.free_run, found.free_run_half_width]) / self._factor
-        ahead = np.array([[found.ahead, found.ahead_half_width]]) / self._factor
+        predicted = self._monitor.advance(commands, measured)
+        free_run = np.column_stack([predicted.free_run, predicted.free_run_half_width]) / self._factor
+        ahead = np.array([[predicted.ahead, predicted.ahead_half_width]]) / self._factor
         ahead_s = block[-1:, 0] + self._monitor.horizon * self._step_s
         return [(FREE_RUN, _with_band(block[:, 0], free_run)), (AHEAD, _with_band(ahead_s, ahead))]
 
@@ -205,7 +205,8 @@ def main(arguments: Sequence[str]) -> None:
         waiting: deque[bytes] = deque(maxlen=MOST_WAITING)
         while True:
             _proceed(loop, connection, waiting)
-            _tell_adaptation(loop, connection)
+            if (news := loop.news_of_adaptation()) is not None:
+                connection.send_bytes(json.dumps({"type": "adaptation", **news}).encode())
     except HitchError as error:
         connection.send_bytes(json.dumps({"type": "error", "error": str(error)}).encode())
     except (EOFError, OSError):
@@ -231,12 +232,6 @@ def _proceed(loop: MonitorLoop, connection: Connection, waiting: deque[bytes]) -
     is_written = error is None and request["type"] == "save_adapted"
     reply = {"type": "reply", "id": request["id"], "error": error, "written": is_written}
     connection.send_bytes(json.dumps(reply).encode())
-
-
-def _tell_adaptation(loop: MonitorLoop, connection: Connection) -> None:
-    news = loop.news_of_adaptation()
-    if news is not None:
-        connection.send_bytes(json.dumps({"type": "adaptation", **news}).encode())
 
 
 def _error_of(loop: MonitorLoop, request: Mapping[str, Any]) -> str | None:

@@ -220,15 +220,15 @@ def read_commands(path: Path, step_s: float) -> np.ndarray:
             rows = np.loadtxt(file, delimiter=",", ndmin=2)
     except (OSError, ValueError) as error:
         raise InputError(f"{path.name}: cannot be read: {error}; expected a CSV of numbers") from error
-    found = [_column(names, COMMAND[direction]) for direction in DIRECTIONS]
-    if names[:1] != ["time_s"] or found == [None, None] or rows.shape[1] != len(names) or len(rows) < 2:
+    given = [_column(names, COMMAND[direction]) for direction in DIRECTIONS]
+    if names[:1] != ["time_s"] or given == [None, None] or rows.shape[1] != len(names) or len(rows) < 2:
         raise InputError(
             f"{path.name}: has the columns {', '.join(names)}; expected time_s first, then lifting_command, "
             "lowering_command or both"
         )
     time_s = rows[:, 0]
     commands = np.column_stack(
-        [np.zeros(len(rows)) if column is None else rows[:, column] for column in found]
+        [np.zeros(len(rows)) if column is None else rows[:, column] for column in given]
     )
     if not np.all(np.isfinite(rows)) or np.any(np.diff(time_s) <= 0) or np.any(commands < 0):
         raise InputError(f"{path.name}: expected finite numbers, rising times and commands of at least zero")

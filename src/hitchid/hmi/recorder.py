@@ -48,7 +48,9 @@ class History:
         Returns:
             Samples, shape [M, columns]; a bin gives two rows at its ends.
         """
-        rows = self._ordered()
+        is_full = self._count > len(self._rows)
+        oldest = self._count % len(self._rows)
+        rows = np.roll(self._rows, -oldest, axis=0) if is_full else self._rows[: self._count]
         first, last = np.searchsorted(rows[:, 0], [begin_s, end_s], side="left")
         inside = rows[first : last + (last < len(rows) and rows[last, 0] == end_s)]
         if len(inside) <= points:
@@ -59,11 +61,6 @@ class History:
         extremes[1::2] = np.fmax.reduceat(inside, edges[:-1])
         extremes[::2, 0], extremes[1::2, 0] = inside[edges[:-1], 0], inside[edges[1:] - 1, 0]
         return extremes
-
-    def _ordered(self) -> np.ndarray:
-        if self._count <= len(self._rows):
-            return self._rows[: self._count]
-        return np.roll(self._rows, -(self._count % len(self._rows)), axis=0)
 
 
 class SpeedEstimate:

@@ -16,7 +16,7 @@ from hitchid.hmi.disk import Disk
 from hitchid.hmi.plans import CampaignPlan, Limits
 from hitchid.hmi.program import Program, Step, Target, apply, check_clock_and_units, drive, move
 from hitchid.hmi.recorder import Recorder
-from hitchid.hmi.source import CLOSED, LIFTING_COMMAND, REQUIRED, Reading, Signal, Source
+from hitchid.hmi.source import CLOSED, LIFTING_COMMAND, REQUIRED, Reading, Source
 from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT, LIFTING, RAMP, Record
 
 # Program of a campaign on a machine: ramps, then tests within what the ramps have shown.
@@ -31,14 +31,7 @@ FASTEST_PER_S = 0.35  # travels in a second, fastest stroke of a test; chosen: t
 def campaign(
     plan: CampaignPlan, displacement: float, limits: Limits, step_s: float, units: tuple[str, str]
 ) -> Generator[Step, float, None]:
-    """Yield the steps of a campaign.
-
-    Args:
-        plan: of the operator.
-        displacement: now.
-        limits: of commands and travel.
-        step_s: sampling time, s.
-        units: of the commands and of the displacement.
+    """Yield the steps of a campaign, from a displacement; units are those of commands and displacement.
 
     Raises:
         InputError: a ramp ended before the piston moved.
@@ -49,7 +42,8 @@ def campaign(
         ramps = []
         for number in range(1, plan.ramps + 1):
             displacement = yield from move(displacement, _start(direction, limits), limits, step_s)
-            command = _ramp(direction, plan.ramp_s, limits, step_s)
+            top = limits.commands[DIRECTIONS.index(direction)]
+            command = _both(direction, np.linspace(0.0, top, round(plan.ramp_s / step_s) + 1))
             name = f"ramp-{direction}-{number:02d}"
             measured = yield from apply(displacement, command, name, limits, step_s, ramp_travel)
             ramps.append(_record(name, direction, command, measured, step_s, units))
@@ -89,11 +83,6 @@ def campaign(
 def _start(direction: str, limits: Limits) -> float:
     low, high = limits.displacement
     return low + START * limits.travel if direction == LIFTING else high - START * limits.travel
-
-
-def _ramp(direction: str, duration_s: float, limits: Limits, step_s: float) -> np.ndarray:
-    top = limits.commands[DIRECTIONS.index(direction)]
-    return _both(direction, np.linspace(0.0, top, round(duration_s / step_s) + 1))
 
 
 def _both(direction: str, command: np.ndarray) -> np.ndarray:
@@ -186,7 +175,12 @@ class Run:
     def _make_folder(self) -> None:
         campaign_file = f"{self.folder}/{project.CAMPAIGN_FILE}"
         if self.plan.kind != "drive" and not os.path.lexists(self._root / campaign_file):
-            project.write_new(self._root, campaign_file, _campaign_file(self._signals).encode())
+            lines = ["[signals]", 'time = "time_s"']
+            for signal in self._signals:
+                if signal.name in REQUIRED:
+                    column, unit = toml_text(signal.column), toml_text(signal.unit)
+                    lines.append(f"{signal.name} = {{ column = {column}, unit = {unit} }}")
+            project.write_new(self._root, campaign_file, "\n".join([*lines, ""]).encode())
         if self.plan.kind != "campaign":
             project.place(self._root, f"{self.folder}/{self.plan.name}.csv")
         self.has_folder = True
@@ -202,8 +196,7 @@ class Run:
         except StopIteration:
             self.step = CLOSED_STEP
             return False
-        self._has_begun = True
-        self.step = step
+        self._has_begun, self.step = True, step
         return True
 
     def record(self, readings: Sequence[Reading]) -> None:
@@ -279,13 +272,3 @@ class Run:
 def _check_free(root: Path, path: str) -> None:
     if os.path.lexists(root / path):
         raise InputError(f"{path}: exists already; choose another name")
-
-
-def _campaign_file(signals: Sequence[Signal]) -> str:
-    """Return the signal map of the logs."""
-    lines = ["[signals]", 'time = "time_s"']
-    for signal in signals:
-        if signal.name in REQUIRED:
-            column, unit = toml_text(signal.column), toml_text(signal.unit)
-            lines.append(f"{signal.name} = {{ column = {column}, unit = {unit} }}")
-    return "\n".join(lines) + "\n"

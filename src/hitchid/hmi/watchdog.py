@@ -60,9 +60,8 @@ class Watchdog:
         """End the watchdog: nothing is sent."""
         try:
             self._link.send(END)
-        except (
-            BlockingIOError
-        ):  # it does not read: once it does, it should not take this for a loop that is gone
+        except BlockingIOError:
+            # It does not read: once it does, it should not take this for a loop that is gone.
             os.kill(self.process, signal.SIGKILL)
         except OSError:  # it has ended
             pass

@@ -2,60 +2,12 @@
 
 import importlib
 import sys
-from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import MappingProxyType
 
 from hitchid.errors import InputError
 from hitchid.hmi.source import Source
 
-
-def _rig(name: str) -> Source:
-    from hitchid.hmi.sources.simulated import VirtualBench
-
-    return VirtualBench(name or "nominal")
-
-
-def _replay(log: str) -> Source:
-    from hitchid.hmi.sources.simulated import Replay
-
-    return Replay(log)
-
-
-def _stdin(_: str) -> Source:
-    from hitchid.hmi.sources.json_lines import FileTransport, JsonLines
-
-    return JsonLines(FileTransport(), "standard input")
-
-
-def _serial(path: str) -> Source:
-    from hitchid.hmi.sources.json_lines import FileTransport, JsonLines
-
-    device, _, baud = path.partition("@")
-    if baud and not baud.isdecimal():
-        raise InputError(f"serial: expected DEVICE@BAUD, got '{path}'")
-    transport = FileTransport(device, int(baud)) if baud else FileTransport(device)
-    return JsonLines(transport, f"serial {device}", can_move=True)
-
-
-def _udp(port: str) -> Source:
-    from hitchid.hmi.sources.json_lines import JsonLines, UdpTransport
-
-    if not port.isdecimal() or not 0 < int(port) < 65536:
-        raise InputError(f"udp: expected a port from 1 to 65535, got '{port}'")
-    return JsonLines(UdpTransport(int(port)), f"UDP port {port}", can_move=True)
-
-
-def _can(path: str) -> Source:
-    from hitchid.hmi.sources.can_bus import CanBus
-
-    return CanBus(path)
-
-
-SOURCES: Mapping[str, Callable[[str], Source]] = MappingProxyType(
-    {"rig": _rig, "replay": _replay, "stdin": _stdin, "serial": _serial, "udp": _udp, "can": _can}
-)
-"""Name to the function from what follows the colon to the source; each imports what it needs."""
+NAMES = "rig, replay, stdin, serial, udp, can"
 
 
 def make_source(text: str) -> Source:
@@ -65,10 +17,23 @@ def make_source(text: str) -> Source:
         InputError: there is no such source, or it cannot be used.
     """
     name, _, argument = text.partition(":")
-    if name in SOURCES:
-        return SOURCES[name](argument)
+    match name:  # each imports what it needs
+        case "rig":
+            from hitchid.hmi.sources.simulated import VirtualBench
+
+            return VirtualBench(argument or "nominal")
+        case "replay":
+            from hitchid.hmi.sources.simulated import Replay
+
+            return Replay(argument)
+        case "stdin" | "serial" | "udp":
+            return _lines_source(name, argument)
+        case "can":
+            from hitchid.hmi.sources.can_bus import CanBus
+
+            return CanBus(argument)
     if not argument:
-        raise InputError(f"source: expected one of {', '.join(SOURCES)} or MODULE:OBJECT, got {text}")
+        raise InputError(f"source: expected one of {NAMES} or MODULE:OBJECT, got {text}")
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.insert(0, here)
     try:
@@ -78,3 +43,20 @@ def make_source(text: str) -> Source:
     if not isinstance(source, Source):
         raise InputError(f"source: {text} is no source; expected what hitchid.hmi.Source names")
     return source
+
+
+def _lines_source(name: str, argument: str) -> Source:
+    """Return a source of JSON lines; standard input takes no commands."""
+    from hitchid.hmi.sources.json_lines import FileTransport, JsonLines, UdpTransport
+
+    if name == "stdin":
+        return JsonLines(FileTransport(), "standard input")
+    if name == "udp":
+        if not argument.isdecimal() or not 0 < int(argument) < 65536:
+            raise InputError(f"udp: expected a port from 1 to 65535, got '{argument}'")
+        return JsonLines(UdpTransport(int(argument)), f"UDP port {argument}", can_move=True)
+    device, _, baud = argument.partition("@")
+    if baud and not baud.isdecimal():
+        raise InputError(f"serial: expected DEVICE@BAUD, got '{argument}'")
+    transport = FileTransport(device, int(baud)) if baud else FileTransport(device)
+    return JsonLines(transport, f"serial {device}", can_move=True)

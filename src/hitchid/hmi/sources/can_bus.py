@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +65,15 @@ class CanBus:
         self._database = _database(Path(path).parent / self._settings.database)
         located = {name: self._located(path, text) for name, text in self._settings.signals.items()}
         names = (*REQUIRED, *(name for name in located if name not in REQUIRED))
-        self.signals = tuple(_signal(name, located[name][1].unit) for name in names)
+        self.signals = tuple(
+            Signal(
+                name,
+                name.replace("_", " ").capitalize(),
+                located[name][1].unit or "1",
+                GROUPS.get(name, "other"),
+            )
+            for name in names
+        )
         self._columns: dict[int, list[tuple[int, str]]] = {}
         for column, name in enumerate(names):
             message, signal = located[name]
@@ -75,17 +83,11 @@ class CanBus:
         output = self._settings.output
         self.can_move = output is not None
         if output is not None:
-            for name in (output.lifting_command, output.lowering_command):
-                self._located(path, f"{output.message}/{name}")
-            self._check_output_units(path, output, located)
-
-    def _check_output_units(
-        self, path: str, output: OutputMessage, located: Mapping[str, tuple[Any, Any]]
-    ) -> None:
-        for role, name in zip(REQUIRED, (output.lifting_command, output.lowering_command), strict=False):
-            sent = self._located(path, f"{output.message}/{name}")[1].unit
-            if sent != located[role][1].unit:
-                raise InputError(f"{path}: {name} is in {sent}, {role} in {located[role][1].unit}")
+            commands = (output.lifting_command, output.lowering_command)
+            sent = [self._located(path, f"{output.message}/{name}")[1].unit for name in commands]
+            for role, name, unit in zip(REQUIRED[:2], commands, sent, strict=True):
+                if unit != located[role][1].unit:
+                    raise InputError(f"{path}: {name} is in {unit}, {role} in {located[role][1].unit}")
 
     def open(self) -> None:
         """Open the bus.
@@ -185,7 +187,3 @@ def _database(path: Path) -> Any:
         return cantools.database.load_file(path)
     except Exception as error:  # parsers raise what they like
         raise InputError(f"{path}: cannot be read: {error}; expected a DBC") from error
-
-
-def _signal(name: str, unit: str | None) -> Signal:
-    return Signal(name, name.replace("_", " ").capitalize(), unit or "1", GROUPS.get(name, "other"))

@@ -76,7 +76,10 @@ class FileTransport:
                     f"{self._path}: cannot be opened: {error.strerror}; expected a device"
                 ) from error
             if os.isatty(self._file):
-                self._set_up_terminal()
+                tty.setraw(self._file)
+                attributes = termios.tcgetattr(self._file)
+                attributes[4] = attributes[5] = getattr(termios, f"B{self._baud}")  # input and output speed
+                termios.tcsetattr(self._file, termios.TCSANOW, attributes)
         os.set_blocking(self._file, False)
 
     def read(self) -> bytes | None:
@@ -101,12 +104,6 @@ class FileTransport:
     def close(self) -> None:
         """Close the device."""
         os.close(self._file)
-
-    def _set_up_terminal(self) -> None:
-        tty.setraw(self._file)
-        attributes = termios.tcgetattr(self._file)
-        attributes[4] = attributes[5] = getattr(termios, f"B{self._baud}")  # input and output speed
-        termios.tcsetattr(self._file, termios.TCSANOW, attributes)
 
     def _waiting_bytes(self) -> int:
         """Return the bytes that were written and are not sent yet."""
