@@ -73,19 +73,21 @@ class Figures(NamedTuple):
     @classmethod
     def of(cls, scenario: Scenario, loops: ClosedLoops) -> "Figures":
         """Return the figures of closed loops in a scenario."""
-        begin = scenario.begin
-        errors = (loops.displacement - scenario.target)[:, begin:]
+        errors = (loops.displacement - scenario.target)[:, scenario.begin :]
         final = loops.measured[:, -round(FINAL_S / SAMPLE_S) :] - scenario.target[-1]
         on = loops.commands > ON_A
         opened = np.sum(np.diff(on.astype(int), axis=1) > 0, axis=(1, 2))
-        duration_s = SAMPLE_S * scenario.target.size
+        overshoot = None
+        if scenario.amplitude:
+            beyond = np.sign(scenario.amplitude) * errors
+            overshoot = _worst(np.maximum(beyond.max(axis=1), 0.0))
         return cls(
-            iae=float(np.mean(_iae(errors))),
+            iae=float(np.mean(SAMPLE_S * np.abs(errors).sum(axis=1))),
             rmse=_worst(np.sqrt(np.mean(errors**2, axis=1))),
-            overshoot=_overshoot(scenario, errors),
+            overshoot=overshoot,
             settling_s=_settling_s(scenario, errors),
             final_error=_worst(np.abs(np.nanmean(final, axis=1))),
-            valve_actions_per_10_s=_worst(10 * opened / duration_s),
+            valve_actions_per_10_s=_worst(10 * opened / (SAMPLE_S * scenario.target.size)),
             both_valves_samples=int(np.sum(np.all(on, axis=-1))),
             samples_until_closed=_samples_until_closed(scenario, on),
             diverged=int(np.sum(~np.isfinite(loops.displacement).all(axis=1))),
@@ -113,17 +115,6 @@ def iae_ratios(
 
 def _worst(values: Float[np.ndarray, " t"]) -> float:
     return float(np.quantile(values, SHARE))
-
-
-def _iae(errors: Float[np.ndarray, "t n"]) -> Float[np.ndarray, " t"]:
-    return SAMPLE_S * np.abs(errors).sum(axis=1)
-
-
-def _overshoot(scenario: Scenario, errors: Float[np.ndarray, "t n"]) -> float | None:
-    if not scenario.amplitude:
-        return None
-    beyond = np.sign(scenario.amplitude) * errors
-    return _worst(np.maximum(beyond.max(axis=1), 0.0))
 
 
 def _settling_s(scenario: Scenario, errors: Float[np.ndarray, "t n"]) -> float | None:
@@ -192,12 +183,11 @@ class Drive:
     def changed_ratios(self) -> dict[str, float]:
         """Scenario of changed load or oil to the ratio of its IAE to that of the same step without change."""
         own = self.figures[TESTED]
-        ratios = {}
-        for name, scenario in self.scenarios.items():
-            if scenario.kind in (Kind.LOAD_CHANGE, Kind.COLD_OIL):
-                nominal = own[step_name(scenario.amplitude)].iae
-                ratios[name] = own[name].iae / nominal
-        return ratios
+        return {
+            name: own[name].iae / own[step_name(scenario.amplitude)].iae
+            for name, scenario in self.scenarios.items()
+            if scenario.kind in (Kind.LOAD_CHANGE, Kind.COLD_OIL)
+        }
 
     @property
     def inside_band(self) -> dict[str, float]:
@@ -301,67 +291,36 @@ def drive(
     else:
         middle = 0.5 * sum(travel)
     slowest = min(float(axis.fastest(jnp.asarray(middle))) for axis in controller.axes)
-    if not isinstance(rig, Rig):
-        lowest, highest = cast(tuple[float, float], travel)
-        todo = plant_scenarios(lowest, highest, slowest, units[0])
-        loops = {}
-        for number, (name, each) in enumerate(_controllers(controller, tested).items()):
-            progress(ProgressUpdate(f"closed loops: {name}", 0.2 + 0.2 * number))
-            loops[name] = {
-                scenario.name: run_plant_loops(
-                    each,
-                    rig,
-                    seed,
-                    scenario.target,
-                    start=scenario.start,
-                    loops=draws,
-                    sensor_lost=scenario.surroundings.sensor_lost,
-                )
-                for scenario in todo
-            }
-        by_name = {scenario.name: scenario for scenario in todo}
-        return Drive(by_name, loops, _figures(by_name, loops), {}, {}, *units)
-    todo = scenarios(rig, slowest)
+    bands, times_s = {}, {}
+    if isinstance(rig, Rig):
+        units = ("mm", "A")
+        todo = scenarios(rig, slowest)
+        if model is not None:
+            bands = _bands(controller, rig, model, load, todo, seed, progress)
+        largest = np.array([axis.largest_command for axis in controller.axes])
+        times_s = {each.name: least_time_s(rig, largest, each) for each in todo if each.kind is Kind.STEP}
+    else:
+        todo = plant_scenarios(*cast(tuple[float, float], travel), slowest, units[0])
     factors = np.random.default_rng(seed).uniform(1 - LOAD_SPREAD, 1 + LOAD_SPREAD, draws)
-    bands = {} if model is None else _bands(controller, rig, model, load, todo, seed, progress)
-    loops = {}
-    for number, (name, each) in enumerate(_controllers(controller, tested).items()):
-        loops[name] = {}
-        progress(ProgressUpdate(f"closed loops: {name}", 0.2 + 0.2 * number))
-        for scenario in todo:
-            loops[name][scenario.name] = run_closed_loops(
-                each,
-                rig,
-                jax.random.key(seed),
-                scenario.target,
-                start_mm=scenario.start,
-                implement_factors=factors,
-                surroundings=scenario.surroundings,
-            )
-    by_name = {scenario.name: scenario for scenario in todo}
-    largest_command = np.array([axis.largest_command for axis in controller.axes])
-    times_s = {
-        scenario.name: least_time_s(rig, largest_command, scenario)
-        for scenario in todo
-        if scenario.kind is Kind.STEP
-    }
-    return Drive(by_name, loops, _figures(by_name, loops), bands, times_s)
 
+    def run(driven: PositionController, scenario: Scenario) -> ClosedLoops:
+        target, start, around = scenario.target, scenario.start, scenario.surroundings
+        if not isinstance(rig, Rig):
+            lost = around.sensor_lost
+            return run_plant_loops(driven, rig, seed, target, start=start, loops=draws, sensor_lost=lost)
+        key = jax.random.key(seed)
+        return run_closed_loops(
+            driven, rig, key, target, start_mm=start, implement_factors=factors, surroundings=around
+        )
 
-def _controllers(
-    controller: HitchController, tested: PositionController | None
-) -> dict[str, PositionController]:
     own = cast(PositionController, controller) if tested is None else tested
-    return {TESTED: own, **cast(dict[str, PositionController], baselines(controller))}
-
-
-def _figures(
-    by_name: Mapping[str, Scenario], loops: Mapping[str, Mapping[str, ClosedLoops]]
-) -> dict[str, dict[str, Figures]]:
-    return {
-        name: {scenario: Figures.of(by_name[scenario], each) for scenario, each in own.items()}
-        for name, own in loops.items()
-    }
+    rivals = cast(dict[str, PositionController], baselines(controller))
+    loops, figures = {}, {}
+    for number, (name, driven) in enumerate({TESTED: own, **rivals}.items()):
+        progress(ProgressUpdate(f"closed loops: {name}", 0.2 + 0.2 * number))
+        loops[name] = {scenario.name: run(driven, scenario) for scenario in todo}
+        figures[name] = {scenario.name: Figures.of(scenario, loops[name][scenario.name]) for scenario in todo}
+    return Drive({scenario.name: scenario for scenario in todo}, loops, figures, bands, times_s, *units)
 
 
 def _bands(
@@ -380,14 +339,10 @@ def _bands(
     bands = {}
     for scenario in todo:
         if scenario.kind in BAND_KINDS:
-            key = jax.random.key(seed)
+            key, start = jax.random.key(seed), scenario.start
+            measured = measured_at_rest(rig, key, start, READINGS)
             runs = run_on_model(
-                controller,
-                hitches,
-                key,
-                scenario.target,
-                start=scenario.start,
-                measured_start=measured_at_rest(rig, key, scenario.start, READINGS),
+                controller, hitches, key, scenario.target, start=start, measured_start=measured
             )
             bands[scenario.name] = band_of(runs)
     return bands

@@ -157,16 +157,12 @@ def _subsets(identified: Identification, campaign: Campaign, direction: str, *, 
     channel = identified.model.channels[direction]
     validation_names = set(identified.model.provenance.validation[direction])
     identification = campaign.identification(direction)
-    return Subsets(
-        *(
-            _predictions(channel, records, closed_loop=closed_loop)
-            for records in (
-                [record for record in identification if record.name not in validation_names],
-                [record for record in identification if record.name in validation_names],
-                campaign.held_out(direction),
-            )
-        )
+    parts = (
+        [record for record in identification if record.name not in validation_names],
+        [record for record in identification if record.name in validation_names],
+        campaign.held_out(direction),
     )
+    return Subsets(*(_predictions(channel, records, closed_loop=closed_loop) for records in parts))
 
 
 @dataclass(frozen=True)
