@@ -181,16 +181,9 @@ def cycle_commands(
     seed: int,
     step_s: float = 0.01,
 ) -> np.ndarray:
-    """Return the commands of one mixed cycle, lifting and lowering, shape [N, 2].
+    """Return the commands of one mixed cycle within a range of displacement, mm, shape [N, 2].
 
-    Args:
-        static: direction to the result of its static test.
-        highest: direction to its largest effective command.
-        start_mm: initial displacement, mm.
-        displacement_range: lowest and highest displacement, mm.
-        duration_s: length, s.
-        seed: of directions, levels and times.
-        step_s: sampling time, s.
+    Each direction has its static test and its largest effective command; see `duty_cycle`.
     """
     lifting, lowering = (
         (LOW[1] * highest[direction], HIGH[1] * highest[direction]) for direction in DIRECTIONS

@@ -343,11 +343,8 @@ def _logs(
 
 
 def _record(log: Log) -> Record:
-    signals = {
-        DISPLACEMENT: log.columns["displacement_mm"],
-        COMMAND[DIRECTIONS[0]]: log.columns["current_up_A"],
-        COMMAND[DIRECTIONS[1]]: log.columns["current_down_A"],
-    }
-    units = {role: "mm" if role == DISPLACEMENT else "A" for role in signals}
+    roles = (DISPLACEMENT, *(COMMAND[direction] for direction in DIRECTIONS))
+    names, units = ("displacement_mm", "current_up_A", "current_down_A"), ("mm", "A", "A")
+    signals = {role: log.columns[name] for role, name in zip(roles, names, strict=True)}
     step_s = float(np.median(np.diff(log.columns["time_s"])))
-    return Record(log.name, step_s, signals, units, kind=RAMP)
+    return Record(log.name, step_s, signals, dict(zip(roles, units, strict=True)), kind=RAMP)

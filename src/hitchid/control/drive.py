@@ -101,10 +101,6 @@ def iae_ratios(
 
     The kinds count alike in `all`, whatever their number and length: the IAE of a step of 100 mm, which at
     the largest current no controller can change, is fifty times that of a ramp.
-
-    Args:
-        figures, baseline: scenario to figures.
-        kinds: scenario to kind.
     """
     ratios = {}
     for kind in (Kind.STEP, Kind.RAMP, Kind.SINE):
@@ -215,7 +211,10 @@ class Drive:
         by_kind = {scenario.kind: own[name] for name, scenario in self.scenarios.items()}
         lost = by_kind[Kind.SENSOR_LOST]
         ramps = [own[name].rmse for name, scenario in self.scenarios.items() if scenario.kind is Kind.RAMP]
-        inside, ploughing = self.inside_band, by_kind.get(Kind.PLOUGHING)
+        inside, band = self.inside_band, None
+        if inside:
+            band = {"inside": float(np.mean(list(inside.values()))), "scenarios": inside}
+        ploughing = by_kind.get(Kind.PLOUGHING)
         return {
             "unit": self.unit,
             "draws": self.draws,
@@ -224,7 +223,7 @@ class Drive:
                 "valve_actions_per_10_s": by_kind[Kind.HOLD].valve_actions_per_10_s,
                 "rmse": by_kind[Kind.HOLD].rmse,
             },
-            "both_valves_samples": sum(each.both_valves_samples for each in own.values()),
+            "both_valves_samples": sum(figures.both_valves_samples for figures in own.values()),
             "sine": {"rmse": by_kind[Kind.SINE].rmse},
             "ramps": {"rmse": max(ramps)},
             **({"ploughing": {"rmse": ploughing.rmse}} if ploughing is not None else {}),
@@ -233,14 +232,12 @@ class Drive:
                 "samples_until_closed": lost.samples_until_closed,
                 "final_error": lost.final_error,
             },
-            "diverged": sum(each.diverged for each in own.values()),
-            "band": {"inside": float(np.mean(list(inside.values()))), "scenarios": inside}
-            if inside
-            else None,
+            "diverged": sum(figures.diverged for figures in own.values()),
+            "band": band,
             "iae_ratio": self.iae_ratios["all"],
             "iae_ratios": self.iae_ratios,
             "iae": {
-                controller: {name: each.iae for name, each in figures.items()}
+                controller: {name: own.iae for name, own in figures.items()}
                 for controller, figures in self.figures.items()
             },
         }
@@ -284,43 +281,47 @@ def drive(
     checks.instance(controller, HitchController, "controller", "a controller as load_controller returns it")
     checks.integer(draws, "draws", minimum=1)
     checks.integer(seed, "seed")
-    if isinstance(rig, Rig):
-        middle = 500 * float(rig.cylinder.stroke)
-    elif travel is None or not travel[0] < travel[1]:
-        raise checks.input_error("travel", "lowest and highest displacement of the plant", travel)
-    else:
-        middle = 0.5 * sum(travel)
-    slowest = min(float(axis.fastest(jnp.asarray(middle))) for axis in controller.axes)
+
+    def slowest(middle: float) -> float:
+        return min(float(axis.fastest(jnp.asarray(middle))) for axis in controller.axes)
+
     bands, times_s = {}, {}
     if isinstance(rig, Rig):
-        units = ("mm", "A")
-        todo = scenarios(rig, slowest)
+        todo, units = scenarios(rig, slowest(500 * float(rig.cylinder.stroke))), ("mm", "A")
         if model is not None:
             bands = _bands(controller, rig, model, load, todo, seed, progress)
         largest = np.array([axis.largest_command for axis in controller.axes])
-        times_s = {each.name: least_time_s(rig, largest, each) for each in todo if each.kind is Kind.STEP}
+        times_s = {own.name: least_time_s(rig, largest, own) for own in todo if own.kind is Kind.STEP}
+    elif travel is None or not travel[0] < travel[1]:
+        raise checks.input_error("travel", "lowest and highest displacement of the plant", travel)
     else:
-        todo = plant_scenarios(*cast(tuple[float, float], travel), slowest, units[0])
+        todo = plant_scenarios(*travel, slowest(0.5 * sum(travel)), units[0])
     factors = np.random.default_rng(seed).uniform(1 - LOAD_SPREAD, 1 + LOAD_SPREAD, draws)
-
-    def run(driven: PositionController, scenario: Scenario) -> ClosedLoops:
-        target, start, around = scenario.target, scenario.start, scenario.surroundings
-        if not isinstance(rig, Rig):
-            lost = around.sensor_lost
-            return run_plant_loops(driven, rig, seed, target, start=start, loops=draws, sensor_lost=lost)
-        key = jax.random.key(seed)
-        return run_closed_loops(
-            driven, rig, key, target, start_mm=start, implement_factors=factors, surroundings=around
-        )
-
-    own = cast(PositionController, controller) if tested is None else tested
-    rivals = cast(dict[str, PositionController], baselines(controller))
+    controllers = {TESTED: controller if tested is None else tested, **baselines(controller)}
     loops, figures = {}, {}
-    for number, (name, driven) in enumerate({TESTED: own, **rivals}.items()):
+    for number, (name, driven) in enumerate(cast(dict[str, PositionController], controllers).items()):
         progress(ProgressUpdate(f"closed loops: {name}", 0.2 + 0.2 * number))
-        loops[name] = {scenario.name: run(driven, scenario) for scenario in todo}
+        loops[name] = {scenario.name: _run(driven, rig, scenario, factors, seed) for scenario in todo}
         figures[name] = {scenario.name: Figures.of(scenario, loops[name][scenario.name]) for scenario in todo}
     return Drive({scenario.name: scenario for scenario in todo}, loops, figures, bands, times_s, *units)
+
+
+def _run(
+    driven: PositionController,
+    rig: Rig | Plant,
+    scenario: Scenario,
+    factors: Float[np.ndarray, " t"],
+    seed: int,
+) -> ClosedLoops:
+    """Return a loop of a scenario for each factor on the implement's mass, which another plant has not."""
+    target, start, around = scenario.target, scenario.start, scenario.surroundings
+    if not isinstance(rig, Rig):
+        count, lost = factors.size, around.sensor_lost
+        return run_plant_loops(driven, rig, seed, target, start=start, loops=count, sensor_lost=lost)
+    key = jax.random.key(seed)
+    return run_closed_loops(
+        driven, rig, key, target, start_mm=start, implement_factors=factors, surroundings=around
+    )
 
 
 def _bands(

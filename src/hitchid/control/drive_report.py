@@ -227,6 +227,9 @@ MARGINS = (
 )
 
 
+ORDER = (Rating.BAD, Rating.CAUTION, Rating.GOOD)  # of findings
+
+
 def drive_verdict(result: Drive, acceptance: Acceptance | None = None) -> tuple[Finding, ...]:
     """Return what the tables of the report mean, the worst first.
 
@@ -274,8 +277,7 @@ def drive_verdict(result: Drive, acceptance: Acceptance | None = None) -> tuple[
         text = f"The IAE of {len(slower)} of {len(ratios)} runs is larger than that of {COMPENSATED}"
         judge(False, f"{text}, the most in {worst}: {ratios[worst]:.2f} times.")
     elif ratios:
-        text = f"The IAE of each run is at most {max(ratios.values()):.2f} times that of {COMPENSATED}."
-        judge(True, text)
+        judge(True, f"The IAE of each run is at most {max(ratios.values()):.2f} times that of {COMPENSATED}.")
     for name, scenario in result.scenarios.items():
         if scenario.kind is Kind.HOLD:
             actions = own[name].valve_actions_per_10_s
@@ -287,8 +289,7 @@ def drive_verdict(result: Drive, acceptance: Acceptance | None = None) -> tuple[
         share = sum(inside.values()) / len(inside)
         text = f"{100 * share:.0f} % of the loops are inside the band that the identified model predicts."
         judge(share >= 0.85, text)
-    order = (Rating.BAD, Rating.CAUTION, Rating.GOOD)
-    return tuple(sorted(findings, key=lambda finding: order.index(finding.level)))
+    return tuple(sorted(findings, key=lambda finding: ORDER.index(finding.level)))
 
 
 def _header(unit: str) -> tuple[str, ...]:

@@ -204,12 +204,8 @@ def pi_gains(bandwidth: float, lags: Lags, step_s: float) -> Gains:
 def lqi_gains(bandwidth: float, lags: Lags, step_s: float) -> Gains:
     """Return the gains that minimise Σ e² + (ω/ρ ∫e)² + (v/ω)² for y' = s, s + a₁ s' + a₂ s'' = v.
 
-    The states are the integral of the error, the position, the speed s and the acceleration.
-
-    Args:
-        bandwidth: ω, rad/s.
-        lags: a₁ and a₂, s and s².
-        step_s: sampling time, s.
+    The states are the integral of the error, the position, the speed s and the acceleration; ω is the
+    bandwidth, rad/s.
     """
     a1, a2 = max(lags[0], step_s), max(lags[1], step_s**2)
     a = np.zeros((4, 4))

@@ -266,13 +266,7 @@ def step_name(amplitude: float, unit: str = "mm") -> str:
 
 
 def least_time_s(rig: Rig, currents_a: Float[np.ndarray, "2"], scenario: Scenario) -> float:
-    """Return the least time in which the bench goes the way of a step: at the largest current, s.
-
-    Args:
-        rig: the bench.
-        currents_a: largest lifting and lowering current, A, shape [2].
-        scenario: a step.
-    """
+    """Return the least time in which the bench goes the way of a step: at the largest currents, A, in s."""
     number = 0 if scenario.amplitude > 0 else 1
     currents = np.zeros((1, scenario.target.size, 2))
     currents[..., number] = currents_a[number]

@@ -121,12 +121,7 @@ EXPLANATION = (
 
 
 def tune_report(result: Tuning, *, command: str = "") -> Document:
-    """Return the report of a tuned controller.
-
-    Args:
-        result: of `tune`.
-        command: the command line that wrote the report.
-    """
+    """Return the report of a tuned controller, with the command line that wrote it."""
     rows = tuple((method, f"{error:.2f}") for method, error in result.trials.items())
     title = f"IAE on drawn models, geometric mean of steps and ramps, {result.units['displacement']}·s"
     trials = Table(title, ("method", "mean"), rows)

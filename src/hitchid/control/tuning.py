@@ -146,10 +146,11 @@ def tune(
     check_tunable(model)
     progress(ProgressUpdate("operating points", 0.0))
     rows = loads_of_channels(model, load)
-    loops = [
-        DirectionLoops.of(model, direction, row, draws, seed)
-        for direction, row in zip(DIRECTIONS, rows, strict=True)
-    ]
+    loops, named_load = [], {}
+    for direction, row in zip(DIRECTIONS, rows, strict=True):
+        loops.append(DirectionLoops.of(model, direction, row, draws, seed))
+        covariates = model.channels[direction].benchmark.covariates
+        named_load |= dict(zip(covariates, row.tolist(), strict=False))
     trials: dict[str, tuple[HitchController, tuple[TrialRun, ...]]] = {}
     for number, (method, gains_of) in enumerate(METHODS.items(), start=1):
         gains = [own for loop in loops if (own := fastest_gains(loop, gains_of)) is not None]
@@ -167,15 +168,9 @@ def tune(
     controller, runs = trials[method]
     tuned = tuple(zip(loops, controller.gains, strict=True))
     return Tuning(
-        controller,
-        method,
-        errors,
+        *(controller, method, errors),
         margins={loop.direction: loop.margins(gains) for loop, gains in tuned},
-        load={
-            name: value
-            for channel, row in zip(model.channels.values(), rows, strict=True)
-            for name, value in zip(channel.benchmark.covariates, row.tolist(), strict=False)
-        },
+        load=named_load,
         units={role: model.units[role] for role in (DISPLACEMENT, *COMMAND.values())},
         draws=draws,
         loops={loop.direction: OpenLoop(loop.omega, loop.responses(gains)[MIDDLE]) for loop, gains in tuned},

@@ -284,7 +284,15 @@ def _channel_fields(channel: ChannelConstants) -> Iterable[Field]:
     yield Field("gain", "real", (3,))
     if channel.scheduling is not None:
         yield Field("opening", "real", (), "of the valve at the load")
-        yield from _at_load_fields(channel)
+        plant, most = channel.plant, 3  # MAX_STATES columns as in the C code
+        yield Field("transition", "real", (plant.nodes, plant.states, plant.states), "at the load")
+        yield Field("gamma0", "real", (plant.nodes, most))
+        yield Field("gamma1", "real", (plant.nodes, plant.states))
+        if plant.friction_at_rest is not None:
+            yield Field("friction", "real", (plant.nodes, most))
+            yield Field("natural_frequency", "real", (), "rad/s")
+        yield Field("speed_row", "real", (plant.states,))
+        yield Field("speed_gain", "real")
 
 
 def valve_fields(channel: ChannelConstants) -> Iterable[Field]:
@@ -297,16 +305,3 @@ def valve_fields(channel: ChannelConstants) -> Iterable[Field]:
     yield Field("flows", "real", (plant.delay_samples + 2,), "through the valve, the newest first")
     yield Field("demands", "int", (plant.delay_samples + 1,), "whether the command demanded motion")
     yield Field("plant", "real", (plant.states,), "state of the physical model")
-
-
-def _at_load_fields(channel: ChannelConstants) -> Iterable[Field]:
-    """Return the fields of a plant that is discretised for a load; MAX_STATES columns as in the C code."""
-    plant, most = channel.plant, 3
-    yield Field("transition", "real", (plant.nodes, plant.states, plant.states), "at the load")
-    yield Field("gamma0", "real", (plant.nodes, most))
-    yield Field("gamma1", "real", (plant.nodes, plant.states))
-    if plant.friction_at_rest is not None:
-        yield Field("friction", "real", (plant.nodes, most))
-        yield Field("natural_frequency", "real", (), "rad/s")
-    yield Field("speed_row", "real", (plant.states,))
-    yield Field("speed_gain", "real")

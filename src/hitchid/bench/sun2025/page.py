@@ -138,13 +138,7 @@ Traces = Mapping[str, ChannelTrace]
 def study_tables(
     default: Traces, paper: Traces, results: Mapping[str, DirectionResult], unit: str
 ) -> list[Table]:
-    """Return Tables 3, 4 and 2 of the paper, and tables of fitness, compensator, mechanics and sensitivity.
-
-    Args:
-        default, paper: direction to the trace of the default identification and of the paper's method.
-        results: direction to predictions of both.
-        unit: of the displacement.
-    """
+    """Return Tables 3, 4 and 2 of the paper, and those of fitness, compensator, mechanics, sensitivity."""
     return [
         *(_test_set(direction, result, unit) for direction, result in results.items()),
         _parameters(paper),

@@ -127,12 +127,7 @@ def direction_result(
 ) -> DirectionResult:
     """Simulate one channel of both identified models on the training, validation and test data.
 
-    Args:
-        default: the model identified by default.
-        paper: the model identified by the paper's method.
-        campaign: the tests.
-        direction: lifting or lowering.
-        mechanistic: model from the rig's parameters, simulated on the same tests.
+    The mechanistic model, from the rig's parameters, is simulated on the same test data.
     """
     ours = _subsets(default, campaign, direction, closed_loop=False)
     theirs = _subsets(paper, campaign, direction, closed_loop=True)
