@@ -277,6 +277,11 @@ def tolerance_of(precision: Precision, error_steps: Sequence[float] | None, trav
     return Tolerance(max(measured, NETWORK_ROUNDING[0], innovation), max(free_run, NETWORK_ROUNDING[1]))
 
 
+def replay(program: Sequence[str], run: ReferenceRun, folder: Path) -> Float[np.ndarray, "n 4"]:
+    """Return displacement, mode, flags and half width of a run through a compiled replay program."""
+    return run_replay(program, np.array([len(run.inputs), run.start, *run.load]), run.inputs, folder)
+
+
 def run_replay(
     program: Sequence[str], head: Float[np.ndarray, " h"], inputs: Float[np.ndarray, "n c"], folder: Path
 ) -> Float[np.ndarray, "n 4"]:
@@ -359,10 +364,7 @@ def verify(
         folder = Path(place)
         program = folder / "replay"
         compiler.compile(sources, program)
-        free, measured = (
-            run_replay([str(program)], np.array([len(run.inputs), run.start, *run.load]), run.inputs, folder)
-            for run in runs
-        )
+        free, measured = (replay([str(program)], run, folder) for run in runs)
     parity = compare(runs, (free, measured), travel_range)
     # Not "larger than": differences that are not numbers must not pass.
     if not (parity.measured <= tolerance.measured and parity.free_run <= tolerance.free_run):

@@ -137,9 +137,7 @@ class OnlineAdaptation:
             events += self._learn(stroke)
         if not self._cutter.moves:
             while self._pending and self._samples >= self._pending[0].due:
-                if not self._connection.poll(
-                    max(0.0, EFFECT_S - (time.monotonic() - self._pending[0].sent_s))
-                ):
+                if not self._is_answered(self._pending[0]):
                     break
                 events += self._receive()
         return self._logged(events)
@@ -171,6 +169,9 @@ class OnlineAdaptation:
     def _ask(self, message: bytes, due: int) -> None:
         self._pending.append(_Sent(due, time.monotonic()))
         self._outbox.put(message)
+
+    def _is_answered(self, sent: _Sent) -> bool:
+        return self._connection.poll(max(0.0, EFFECT_S - (time.monotonic() - sent.sent_s)))
 
     def _receive(self) -> list[Event]:
         """Take an answer of the process; return its events."""
