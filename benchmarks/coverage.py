@@ -136,14 +136,14 @@ def campaign(plant: Plant, rng: np.random.Generator) -> tuple[list[Record], floa
 
 def make_test(plant: Plant, rng: np.random.Generator, number: int, speed: float = 1.0) -> Record:
     """Return one test of a campaign, with a factor on its speed; the first goes to the highest command."""
-    signal = prbs(
+    effective = prbs(
         low=rng.uniform(0.03, 0.2),
         high=rng.uniform(0.4, 1.0) * HIGHEST_A if number else HIGHEST_A,
         clock_s=plant.clock_s,
         duration_s=DURATION_S,
         seed=int(rng.integers(2**31)),
     )
-    return record_of(plant, precompensated(signal.command, DEAD_ZONE_A), rng, f"{number}", speed)
+    return record_of(plant, precompensated(effective, DEAD_ZONE_A), rng, f"{number}", speed)
 
 
 def record_of(

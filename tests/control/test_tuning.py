@@ -13,7 +13,7 @@ import hitchid
 from hitchid.cli import app
 from hitchid.control import Tuning, limitation, load_controller, save_controller, tune
 from hitchid.control import loops as direction_loops
-from hitchid.control.limits import check_drive, read_drive_limits
+from hitchid.control.drive_report import check_drive, read_drive_limits
 from hitchid.control.loops import (
     MAX_SENSITIVITY,
     MIN_DEAD_TIMES,

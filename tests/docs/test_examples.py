@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 import hitchid
 from hitchid import cli
-from hitchid.control.limits import read_drive_limits
+from hitchid.control.drive_report import read_drive_limits
 from hitchid.errors import InputError
 from hitchid.identification import read_settings
 from hitchid.identification.identify import identify

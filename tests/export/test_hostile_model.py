@@ -69,15 +69,14 @@ def test_strings_leave_the_code_of_a_model_as_it_is() -> None:
 def test_units_and_names_in_a_description_stay_text(version: str) -> None:
     model = replace(PLAIN, covariates=STRINGS, mean_load=(1.0,) * len(STRINGS))
     model = replace(model, units={**model.units, **dict(zip(STRINGS, STRINGS, strict=True))})
-    variables = fmu_variables(
-        model, c_templates(PLAIN, "m", "mixed").context["parameters"], 0.0, with_time=True
-    )
+    parameters = c_templates(PLAIN, "m", "mixed").context["parameters"]
+    variables = list(fmu_variables(model, parameters, 0.0, with_time=True))
     symbols = [variable.symbol for variable in variables]
     assert len(set(symbols)) == len(symbols)
     assert all(re.fullmatch("[A-Z][A-Z0-9_]*", symbol) for symbol in symbols)
     root = ElementTree.fromstring(model_description(version, "m", "{1}", variables, 0.01, ["m.c"], "x"))  # noqa: S314
     tags = {element.tag for element in root.iter()}
-    plain = fmu_variables(PLAIN, [], 0.0, with_time=True)
+    plain = list(fmu_variables(PLAIN, [], 0.0, with_time=True))
     described = model_description(version, "m", "{1}", plain, 0.01, ["m.c"], "x")
     assert tags == {element.tag for element in ElementTree.fromstring(described).iter()}  # noqa: S314
     listed = [element.get("name") for element in root.find("UnitDefinitions")]

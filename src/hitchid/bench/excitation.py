@@ -1,12 +1,11 @@
-"""Test signals: ramps, maximum-length and random binary sequences, multi-level steps, mixed duty cycles.
+"""Test signals: ramps, maximum-length binary sequences, mixed duty cycles.
 
 Every signal is an effective command; `precompensated` adds the dead zone found in the static test (Sun et al.
 2025, sec. 2.3.1). Commands are held between samples.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from types import MappingProxyType
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import max_len_seq
@@ -52,42 +51,14 @@ def evaluate_ramps(ramps: Sequence[Record], direction: str) -> StaticResult:
     return StaticResult(zone, float(np.mean(speeds) / effective))
 
 
-@dataclass(frozen=True)
-class Excitation:
-    """A test signal and its settings.
-
-    Attributes:
-        command: effective command, shape [N].
-        step_s: sampling time, s.
-        description: name and settings of the signal.
-    """
-
-    command: np.ndarray
-    step_s: float
-    description: Mapping[str, object] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Freeze the description."""
-        object.__setattr__(self, "description", MappingProxyType(dict(self.description)))
-
-
 def precompensated(command: np.ndarray, dead_zone: float) -> np.ndarray:
     """Return the command for an effective command u at dead zone d: c = u + d where u > 0, else 0."""
     return np.where(command > 0, command + dead_zone, 0.0)
 
 
-def ramp(*, top: float, duration_s: float, step_s: float = 0.01) -> Excitation:
-    """Return a slow rise from zero to `top`: the static test.
-
-    Args:
-        top: last command.
-        duration_s: length, s.
-        step_s: sampling time, s.
-    """
-    count = _count(duration_s, step_s)
-    return Excitation(
-        np.linspace(0.0, top, count), step_s, {"signal": "ramp", "top": top, "duration_s": duration_s}
-    )
+def ramp(*, top: float, duration_s: float, step_s: float = 0.01) -> np.ndarray:
+    """Return a slow rise from zero to `top`: the static test."""
+    return np.linspace(0.0, top, _count(duration_s, step_s))
 
 
 def prbs(
@@ -99,7 +70,7 @@ def prbs(
     seed: int,
     rest_s: float = 0.05,
     step_s: float = 0.01,
-) -> Excitation:
+) -> np.ndarray:
     """Return a maximum-length pseudo-random binary sequence between two levels, after a short rest.
 
     The shift register is the shortest whose period 2ⁿ − 1 covers the test; the seed chooses its phase.
@@ -122,43 +93,7 @@ def prbs(
     state[0] |= not state.any()
     sequence = max_len_seq(bits, state=state, length=clocks)[0]
     levels = np.repeat(np.where(sequence > 0, high, low), hold_samples)
-    command = np.concatenate([np.zeros(rest), levels])[:count]
-    description = {"signal": "prbs", "low": low, "high": high, "clock_s": clock_s, "bits": bits, "seed": seed}
-    return Excitation(command, step_s, description)
-
-
-def random_hold(
-    *,
-    levels: Sequence[float],
-    shortest_s: float,
-    longest_s: float,
-    duration_s: float,
-    seed: int,
-    rest_s: float = 0.05,
-    step_s: float = 0.01,
-) -> Excitation:
-    """Return random levels, each held for a random time: binary for two levels, else multi-level.
-
-    Args:
-        levels: the commands to draw from.
-        shortest_s, longest_s: range of the hold time, s; raises `InputError` unless 0 < shortest ≤ longest.
-        duration_s: length, s.
-        seed: seed of levels and times.
-        rest_s: time at zero before the first level, s.
-        step_s: sampling time, s.
-    """
-    if not 0 < shortest_s <= longest_s:
-        raise InputError(f"hold: expected 0 < shortest ≤ longest, got {shortest_s:g} and {longest_s:g} s")
-    rng = np.random.default_rng(seed)
-    count = _count(duration_s, step_s)
-    command = np.zeros(count)
-    start = round(rest_s / step_s)
-    while start < count:
-        stop = start + max(1, round(rng.uniform(shortest_s, longest_s) / step_s))
-        command[start:stop] = rng.choice(np.asarray(levels))
-        start = stop
-    description = {"signal": "random hold", "levels": list(levels), "seed": seed}
-    return Excitation(command, step_s, description)
+    return np.concatenate([np.zeros(rest), levels])[:count]
 
 
 def duty_cycle(
@@ -170,7 +105,7 @@ def duty_cycle(
     duration_s: float,
     seed: int,
     step_s: float = 0.01,
-) -> tuple[Excitation, Excitation]:
+) -> np.ndarray:
     """Return random lift, hold and lower strokes within a range of displacement.
 
     The travel of a stroke is predicted from the speed per effective command of its direction. The probability
@@ -186,26 +121,23 @@ def duty_cycle(
         step_s: sampling time, s.
 
     Returns:
-        The lifting and the lowering command.
+        The lifting and the lowering command, shape [2, N].
     """
     rng = np.random.default_rng(seed)
     count = _count(duration_s, step_s)
     commands = np.zeros((2, count))
-    height, sample = start, round(0.5 / step_s)
+    (lowest, highest), height, sample = displacement_range, start, round(0.5 / step_s)
     while sample < count:
-        up = bool(
-            rng.random() < (displacement_range[1] - height) / (displacement_range[1] - displacement_range[0])
-        )
+        up = bool(rng.random() < (highest - height) / (highest - lowest))
         level = rng.uniform(*levels[0 if up else 1])
         speed = level * speeds[0 if up else 1]
-        available = (displacement_range[1] - height) if up else (height - displacement_range[0])
+        available = (highest - height) if up else (height - lowest)
         hold_s = min(rng.uniform(1.0, 3.0), max(available, 0.0) / speed)
         stop = sample + round(hold_s / step_s)
         commands[0 if up else 1, sample:stop] = level
         height += (1 if up else -1) * speed * hold_s
         sample = stop + round(rng.uniform(0.2, 1.5) / step_s)
-    description = {"signal": "duty cycle", "seed": seed}
-    return Excitation(commands[0], step_s, description), Excitation(commands[1], step_s, description)
+    return commands
 
 
 def _count(duration_s: float, step_s: float) -> int:
@@ -227,16 +159,8 @@ CLOCK_S = (0.15, 0.4)  # s, shortest hold of a level, limits of a random draw (c
 def binary_command(
     highest: float, dead_zone: float, duration_s: float, rng: np.random.Generator, step_s: float = 0.01
 ) -> np.ndarray:
-    """Return the command of one PRBS test, with levels and clock drawn at random, shape [N].
-
-    Args:
-        highest: largest effective command.
-        dead_zone: of the direction; it is added to every level.
-        duration_s: length, s.
-        rng: draws levels, clock and phase.
-        step_s: sampling time, s.
-    """
-    signal = prbs(
+    """Return the command of one PRBS test, with levels up to an effective one and clock drawn, shape [N]."""
+    effective = prbs(
         low=rng.uniform(*LOW) * highest,
         high=rng.uniform(*HIGH) * highest,
         clock_s=rng.uniform(*CLOCK_S),
@@ -244,7 +168,7 @@ def binary_command(
         seed=int(rng.integers(2**31)),
         step_s=step_s,
     )
-    return precompensated(signal.command, dead_zone)
+    return precompensated(effective, dead_zone)
 
 
 def cycle_commands(
@@ -257,16 +181,9 @@ def cycle_commands(
     seed: int,
     step_s: float = 0.01,
 ) -> np.ndarray:
-    """Return the commands of one mixed cycle, lifting and lowering, shape [N, 2].
+    """Return the commands of one mixed cycle within a range of displacement, mm, shape [N, 2].
 
-    Args:
-        static: direction to the result of its static test.
-        highest: direction to its largest effective command.
-        start_mm: initial displacement, mm.
-        displacement_range: lowest and highest displacement, mm.
-        duration_s: length, s.
-        seed: of directions, levels and times.
-        step_s: sampling time, s.
+    Each direction has its static test and its largest effective command; see `duty_cycle`.
     """
     lifting, lowering = (
         (LOW[1] * highest[direction], HIGH[1] * highest[direction]) for direction in DIRECTIONS
@@ -281,9 +198,5 @@ def cycle_commands(
         seed=seed,
         step_s=step_s,
     )
-    return np.column_stack(
-        [
-            precompensated(signal.command, static[direction].dead_zone)
-            for direction, signal in zip(DIRECTIONS, pair, strict=True)
-        ]
-    )
+    zones = [static[direction].dead_zone for direction in DIRECTIONS]
+    return np.column_stack(list(map(precompensated, pair, zones)))

@@ -112,6 +112,9 @@ def build_rig(tables: dict[str, object]) -> Rig:
         }
         for table, ranges in ((table, _quantities(table)) for table in COMPONENTS)
     }
+    sensors = values["sensors"]
+    rng, largest = np.random.default_rng(int(sensors["calibration_seed"])), float(sensors["curve_error"])
+    angle, lifting, lowering = (CalibrationCurve.random(rng, largest) for _ in range(3))
     rig = Rig(
         oil=Oil(**values["oil"]),
         supply=Supply(**values["supply"]),
@@ -119,10 +122,21 @@ def build_rig(tables: dict[str, object]) -> Rig:
         lowering_valve=LoweringValve(**_with_spool(values["lowering_valve"])),
         cylinder=Cylinder(friction=Friction(**values["friction"]), **values["cylinder"]),
         linkage=Linkage(**values["linkage"]),
-        sensors=_sensors(values["sensors"]),
+        sensors=Sensors(angle_curve=angle, lifting_curve=lifting, lowering_curve=lowering, **sensors),
     )
-    _check_valves(rig)
-    _check_friction(rig)
+    for table in ("lifting_valve", "lowering_valve"):
+        spool = getattr(rig, table).spool
+        if not spool.dead_zone < spool.saturation:
+            raise SettingsError(
+                f"key '{table}.saturation': got {float(spool.saturation):g} A, "
+                f"expected more than the dead zone, {float(spool.dead_zone):g} A"
+            )
+    friction = rig.cylinder.friction
+    if friction.static < friction.coulomb:
+        raise SettingsError(
+            f"key 'friction.static': got {float(friction.static):g} N, "
+            f"expected at least friction.coulomb, {float(friction.coulomb):g} N"
+        )
     _check_linkage(rig)
     return rig
 
@@ -133,75 +147,25 @@ def _with_spool(values: dict) -> dict:
     return {"spool": spool} | {key: value for key, value in values.items() if key not in names}
 
 
-def _sensors(values: dict) -> Sensors:
-    rng = np.random.default_rng(int(values["calibration_seed"]))
-    angle, lifting, lowering = (CalibrationCurve.random(rng, float(values["curve_error"])) for _ in range(3))
-    return Sensors(angle_curve=angle, lifting_curve=lifting, lowering_curve=lowering, **values)
-
-
-def _check_valves(rig: Rig) -> None:
-    for table, spool in (
-        ("lifting_valve", rig.lifting_valve.spool),
-        ("lowering_valve", rig.lowering_valve.spool),
-    ):
-        if not spool.dead_zone < spool.saturation:
-            raise SettingsError(
-                f"key '{table}.saturation': got {float(spool.saturation):g} A, "
-                f"expected more than the dead zone, {float(spool.dead_zone):g} A"
-            )
-
-
-def _check_friction(rig: Rig) -> None:
-    friction = rig.cylinder.friction
-    if friction.static < friction.coulomb:
-        raise SettingsError(
-            f"key 'friction.static': got {float(friction.static):g} N, "
-            f"expected at least friction.coulomb, {float(friction.coulomb):g} N"
-        )
-
-
 def _check_linkage(rig: Rig) -> None:
     """Refuse a linkage that opens, stalls or leaves the sensor's range anywhere on the stroke."""
     linkage, stroke = rig.linkage, float(rig.cylinder.stroke)
     positions = jnp.linspace(0.0, stroke, CHECKED_POSITIONS)
-    cosine = np.asarray(linkage.cylinder_cosine(positions))
-    _require(
-        np.abs(cosine) < 1,
-        positions,
-        "retracted_length",
-        "the cosine of the cylinder angle",
-        cosine,
-        "(-1, 1)",
-    )
+    cylinder = np.asarray(linkage.cylinder_cosine(positions))
     rod = np.asarray(linkage.rod_cosine(linkage.arm_angle(positions)))
-    _require(np.abs(rod) < 1, positions, "lift_rod", "the cosine of the lift-rod angle", rod, "(-1, 1)")
     lever = np.asarray(linkage.rates(positions)[2])
-    _require(
-        lever > 0,
-        positions,
-        "lift_rod",
-        "the derivative dh/dx of implement height over piston displacement",
-        lever,
-        "(0, inf)",
-    )
     angle, full = np.asarray(linkage.sensor_angle(positions)), float(rig.sensors.angle_range)
-    _require(
-        (angle >= 0) & (angle <= full),
-        positions,
-        "sensor_offset",
-        "the angle at the sensor",
-        angle,
-        f"0 to {full:g} rad",
-    )
-
-
-def _require(
-    satisfied: np.ndarray, positions: object, key: str, condition: str, values: np.ndarray, required: str
-) -> None:
-    if not np.all(satisfied):
-        row = int(np.flatnonzero(~satisfied)[0])
-        position = float(np.asarray(positions)[row])
-        raise SettingsError(
-            f"key 'linkage.{key}': expected {condition} in {required} over the whole "
-            f"stroke, got {values[row]:g} at {position:g} m of the stroke"
-        )
+    rises = "the derivative dh/dx of implement height over piston displacement"
+    within = (angle >= 0) & (angle <= full)
+    for key, condition, values, required, satisfied in (
+        ("retracted_length", "the cosine of the cylinder angle", cylinder, "(-1, 1)", np.abs(cylinder) < 1),
+        ("lift_rod", "the cosine of the lift-rod angle", rod, "(-1, 1)", np.abs(rod) < 1),
+        ("lift_rod", rises, lever, "(0, inf)", lever > 0),
+        ("sensor_offset", "the angle at the sensor", angle, f"0 to {full:g} rad", within),
+    ):
+        if not np.all(satisfied):
+            row = int(np.flatnonzero(~satisfied)[0])
+            raise SettingsError(
+                f"key 'linkage.{key}': expected {condition} in {required} over the whole "
+                f"stroke, got {values[row]:g} at {float(positions[row]):g} m of the stroke"
+            )

@@ -1,6 +1,5 @@
 """Simulation of tests: true motion of the bench under given currents."""
 
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -13,7 +12,6 @@ from jaxtyping import Array, Float
 from hitchid._support.jax_setup import double_precision
 from hitchid._support.records import short_repr
 from hitchid.bench.plant import (
-    OilVolumes,
     Rig,
     RigInputs,
     RigState,
@@ -29,7 +27,7 @@ from hitchid.bench.valves import Scalar
 from hitchid.errors import InputError
 
 SAMPLE_S = 0.01  # s, sampling time of the data acquisition
-SUBSTEPS = 8  # integration steps per sample (chosen); tests/rig compares with twice as many
+SUBSTEPS = 8  # integration steps per sample (chosen); tests/bench compares with twice as many
 
 
 @short_repr
@@ -103,26 +101,18 @@ def simulate(
         raise InputError(f"substeps: got {substeps}, expected at least 1")
     tests, samples, _ = shape
     temperature = rig.oil.temperature if oil_temperature_c is None else oil_temperature_c
+    load_force = 0.0 if load_force_n is None else load_force_n
     inputs = {
         "currents": jnp.asarray(currents, jnp.float64),
         "initial_displacement_m": _broadcast("initial_displacement_m", initial_displacement_m, (tests,)),
-        "load_force_n": _broadcast(
-            "load_force_n", 0.0 if load_force_n is None else load_force_n, (tests, samples)
-        ),
+        "load_force_n": _broadcast("load_force_n", load_force, (tests, samples)),
         "oil_temperature_c": _broadcast("oil_temperature_c", temperature, (tests,)),
     }
     for name, array in inputs.items():
         check_range(name, array, -np.inf, np.inf)
     check_range("currents", inputs["currents"], 0.0, np.inf)
     check_range("initial_displacement_m", inputs["initial_displacement_m"], 0.0, rig.cylinder.stroke)
-    return _simulate(
-        rig,
-        inputs["currents"],
-        inputs["initial_displacement_m"],
-        inputs["load_force_n"],
-        inputs["oil_temperature_c"],
-        substeps,
-    )
+    return _simulate(rig, **inputs, substeps=substeps)
 
 
 def _broadcast(name: str, value: object, shape: tuple[int, ...]) -> Array:
@@ -151,37 +141,42 @@ def check_range(name: str, array: Array, low: float, high: object) -> None:
 def _simulate(
     rig: Rig,
     currents: Float[Array, "t n 2"],
-    initial: Float[Array, " t"],
-    load_force: Float[Array, "t n"],
-    temperature: Float[Array, " t"],
+    initial_displacement_m: Float[Array, " t"],
+    load_force_n: Float[Array, "t n"],
+    oil_temperature_c: Float[Array, " t"],
     substeps: int,
 ) -> RigMotion:
-    states = jax.vmap(partial(_simulate_test, rig, substeps))(currents, initial, load_force, temperature)
-    return _motion(states)
+    def run(rows: Array, initial: Scalar, load_force: Array, temperature: Scalar) -> RigState:
+        warm = at_temperature(rig, temperature)
+        factors = _sample_factors(warm, substeps)
 
+        def sample(state: RigState, row: tuple[Array, Array, Array]) -> tuple[RigState, RigState]:
+            return _advance_sample(warm, factors, state, *row), state
 
-def _mean_flow(volume: Float[Array, "t n"]) -> Float[Array, "t n"]:
-    return jnp.diff(volume, axis=1, prepend=volume[:, :1]) / SAMPLE_S
+        initial_state = at_rest(warm, initial, load_force[0])
+        numbers = jnp.arange(load_force.shape[0], dtype=jnp.float64)
+        return jax.lax.scan(sample, initial_state, (rows, load_force, numbers))[1]
 
+    def mean_flow(volume: Float[Array, "t n"]) -> Float[Array, "t n"]:
+        return jnp.diff(volume, axis=1, prepend=volume[:, :1]) / SAMPLE_S
 
-def _simulate_test(
-    rig: Rig,
-    substeps: int,
-    currents: Float[Array, "n 2"],
-    initial: Scalar,
-    load_force: Float[Array, " n"],
-    temperature: Scalar,
-) -> RigState:
-    warm = at_temperature(rig, temperature)
-    factors = _sample_factors(warm, substeps)
-
-    def sample(state: RigState, row: tuple[Array, Array, Array]) -> tuple[RigState, RigState]:
-        return _advance_sample(warm, factors, state, *row), state
-
-    initial_state = at_rest(warm, initial, load_force[0])
-    numbers = jnp.arange(load_force.shape[0], dtype=jnp.float64)
-    _, states = jax.lax.scan(sample, initial_state, (currents, load_force, numbers))
-    return states
+    states = jax.vmap(run)(currents, initial_displacement_m, load_force_n, oil_temperature_c)
+    oils = states.oils
+    return RigMotion(
+        displacement_m=states.displacement,
+        speed_m_s=states.speed,
+        supply_pressure_pa=states.supply_pressure,
+        pressure_pa=states.pressure,
+        bristle_m=states.bristle,
+        lifting_spool=states.lifting.position,
+        lowering_spool=states.lowering.position,
+        compensator_m2=states.compensator,
+        lifting_flow_m3_s=mean_flow(oils.lifted),
+        lowering_flow_m3_s=mean_flow(oils.lowered),
+        **{f"{name}_m3": volume for name, volume in oils._asdict().items()},
+        supply_oil_m3=supply_amount(states),
+        cylinder_oil_m3=cylinder_amount(states),
+    )
 
 
 class _SampleFactors(NamedTuple):
@@ -227,36 +222,7 @@ def advance_sample(
 ) -> RigState:
     """Return the bench 10 ms later, at the rig's oil temperature.
 
-    Args:
-        rig: the bench.
-        state: at the start of the sample.
-        currents: lifting and lowering, held, A.
-        load_force: at the implement, downward, N.
-        number: of the sample since the start, which the pump's ripple follows.
+    Currents, A, and load, N, are held; the pump's ripple follows the number of the sample since the start.
     """
     warm = at_temperature(rig, rig.oil.temperature)
     return _advance_sample(warm, _sample_factors(warm, SUBSTEPS), state, currents, load_force, number)
-
-
-def _motion(states: RigState) -> RigMotion:
-    oils: OilVolumes = states.oils
-    return RigMotion(
-        displacement_m=states.displacement,
-        speed_m_s=states.speed,
-        supply_pressure_pa=states.supply_pressure,
-        pressure_pa=states.pressure,
-        bristle_m=states.bristle,
-        lifting_spool=states.lifting.position,
-        lowering_spool=states.lowering.position,
-        compensator_m2=states.compensator,
-        lifting_flow_m3_s=_mean_flow(oils.lifted),
-        lowering_flow_m3_s=_mean_flow(oils.lowered),
-        pumped_m3=oils.pumped,
-        relieved_m3=oils.relieved,
-        lifted_m3=oils.lifted,
-        lowered_m3=oils.lowered,
-        leaked_m3=oils.leaked,
-        safety_relieved_m3=oils.safety_relieved,
-        supply_oil_m3=supply_amount(states),
-        cylinder_oil_m3=cylinder_amount(states),
-    )

@@ -65,7 +65,7 @@ def small_signal(rig: Rig, operating_point: OperatingPoint) -> SmallSignal:
     and compensator are not included. Flows are volumes at tank pressure, hence A/σ(p) for A in continuity.
     The steady speed is v = (Q − C_p (p − p₀))/(A + k C/A).
     """
-    return SmallSignal(*map(float, _lifting(rig, _as_arrays(rig, operating_point))))
+    return _small_signal(rig, operating_point, is_lifting=True)
 
 
 @double_precision
@@ -80,32 +80,23 @@ def lowering_small_signal(rig: Rig, operating_point: OperatingPoint) -> SmallSig
     v = (Q + C_p (p − p₀))/(A + k C/A). Two slow terms are neglected: k (C_p + k_c), by which speed falls with
     the load's pressure, and v C dk/dx, by which it rises as the hose releases less oil.
     """
-    return SmallSignal(*map(float, _lowering(rig, _as_arrays(rig, operating_point))))
+    return _small_signal(rig, operating_point, is_lifting=False)
 
 
-def _as_arrays(rig: Rig, point: OperatingPoint) -> OperatingPoint:
-    """Return a point as arrays with its temperature set, so that all points use one compiled program."""
-    temperature = point.oil_temperature_c
-    complete_point = point._replace(
-        oil_temperature_c=rig.oil.temperature if temperature is None else temperature
-    )
-    return OperatingPoint(*(jnp.asarray(value, jnp.float64) for value in complete_point))
-
-
-@eqx.filter_jit
-def _lifting(rig: Rig, point: OperatingPoint) -> Array:
-    adjusted_rig = at_temperature(rig, jnp.asarray(point.oil_temperature_c))
-    return _chain(adjusted_rig, point, _steady_lifting(adjusted_rig, point), leakage_sign=-1.0)
+def _small_signal(rig: Rig, point: OperatingPoint, *, is_lifting: bool) -> SmallSignal:
+    temperature = rig.oil.temperature if point.oil_temperature_c is None else point.oil_temperature_c
+    complete = point._replace(oil_temperature_c=temperature)
+    # Arrays, so that all points use one compiled program.
+    arrays = OperatingPoint(*(jnp.asarray(value, jnp.float64) for value in complete))
+    return SmallSignal(*map(float, _chain(rig, arrays, is_lifting)))
 
 
 @eqx.filter_jit
-def _lowering(rig: Rig, point: OperatingPoint) -> Array:
-    adjusted_rig = at_temperature(rig, jnp.asarray(point.oil_temperature_c))
-    return _chain(adjusted_rig, point, _steady_lowering(adjusted_rig, point), leakage_sign=1.0)
-
-
-def _chain(rig: Rig, point: OperatingPoint, steady: SteadyState, leakage_sign: float) -> Array:
+def _chain(rig: Rig, point: OperatingPoint, is_lifting: bool) -> Array:
     """Return the fields of a `SmallSignal`, shape [4]."""
+    rig = at_temperature(rig, jnp.asarray(point.oil_temperature_c))
+    steady = _steady_lifting(rig, point) if is_lifting else _steady_lowering(rig, point)
+    leakage_sign = -1.0 if is_lifting else 1.0
     displacement = jnp.asarray(point.displacement_m)
     load = rig.linkage.load(displacement)
     mass, stiffness = load.mass, load.weight_slope + point.load_force_n * load.lever_slope
@@ -162,10 +153,8 @@ def _steady_lifting(rig: Rig, point: OperatingPoint) -> SteadyState:
     area_slope = spool.full_area * travel / jnp.sqrt(travel**2 + notch**2)
     area_slope = area_slope / (jnp.sqrt(1 + notch**2) - notch) / (spool.saturation * (1 - overlap))
 
-    frictionless_pressure, idle = (
-        hold_pressure(rig, displacement, jnp.asarray(point.load_force_n)),
-        rig.supply.idle_pressure(),
-    )
+    frictionless_pressure = hold_pressure(rig, displacement, jnp.asarray(point.load_force_n))
+    idle = rig.supply.idle_pressure()
 
     def fixed_point_step(_round: Array, carry: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
         pressure, supply_pressure, opening = carry[:3]

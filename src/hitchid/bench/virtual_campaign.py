@@ -183,23 +183,24 @@ def run(
         checks.one_of(direction, DIRECTIONS, "direction")
     checks.integer(seed, "seed")
     if conditions is not None:
-        return [
-            log
-            for number, condition in enumerate(conditions.of(rig))
-            for log in _run_in(condition, tests, directions, np.random.default_rng([seed, number]))
-        ]
+        measured = []
+        for number, condition in enumerate(conditions.of(rig)):
+            rng = np.random.default_rng([seed, number])
+            for log in run(condition.rig, tests, directions, seed=int(rng.integers(2**31))):
+                columns = {**log.columns, **condition.readings(log.pressure_pa, rng)}
+                measured.append(replace(log, name=f"{log.name}-{condition.name}", columns=columns))
+        return measured
     excited = DIRECTIONS if "cycle" in tests else directions
     ramps = {direction: _ramps(rig, direction, tests.get("ramp", REPEATS), seed) for direction in excited}
     static = {
         direction: evaluate_ramps([_record(log) for log in logs], direction)
         for direction, logs in ramps.items()
     }
-    jobs = {}
-    if "prbs" in tests:
-        jobs = {
-            direction: partial(_dynamic, rig, direction, static[direction], tests["prbs"], seed)
-            for direction in directions
-        }
+    jobs = {
+        direction: partial(_dynamic, rig, direction, static[direction], tests["prbs"], seed)
+        for direction in directions
+        if "prbs" in tests
+    }
     if "cycle" in tests:
         jobs["cycle"] = partial(_cycles, rig, static, tests["cycle"], seed)
     # Cycles are started with the first direction: the second one then reuses its compiled program.
@@ -208,18 +209,6 @@ def run(
     )
     static_logs = [ramps[direction] for direction in directions] if "ramp" in tests else []
     return [log for logs in (*static_logs, *(results[name] for name in jobs)) for log in logs]
-
-
-def _run_in(
-    condition: Condition,
-    tests: Mapping[Protocol, int],
-    directions: Sequence[str],
-    rng: np.random.Generator,
-) -> Iterator[Log]:
-    """Yield the logs of one operating condition, with what is measured of it."""
-    for log in run(condition.rig, tests, directions, seed=int(rng.integers(2**31))):
-        columns = {**log.columns, **condition.readings(log.pressure_pa, rng)}
-        yield replace(log, name=f"{log.name}-{condition.name}", columns=columns)
 
 
 def write_campaign(
@@ -260,9 +249,8 @@ def write_campaign(
             write_table(folder / f"{log.name}.{suffix}", log.columns)
             truth = {"time_s": log.columns["time_s"], "displacement_true_mm": log.truth}
             write_table(folder / TRUTH / f"{log.name}.{suffix}", truth)
-        (folder / "campaign.toml").write_text(
-            COLUMNS + ("" if conditions is None else COVARIATES), encoding="utf-8"
-        )
+        columns = COLUMNS if conditions is None else COLUMNS + COVARIATES
+        (folder / "campaign.toml").write_text(columns, encoding="utf-8")
 
     write_folder(folder, fill, result_kind="campaign.toml", force=force)
     return len(logs)
@@ -271,28 +259,26 @@ def write_campaign(
 def _ramps(rig: Rig, direction: str, repeats: int, seed: int) -> list[Log]:
     """Return slow ramps that end at the current at which the piston has moved 20 mm."""
     top, start = _saturation(rig, direction), _start(rig, direction)
-    command = excitation.ramp(top=top, duration_s=RAMP_S).command
+    command = excitation.ramp(top=top, duration_s=RAMP_S)
     # As many at once as in the ramps below, so that both use one compiled program.
     currents = np.stack([_two_channel_command(direction, command)] * repeats)
     motion = simulate(rig, currents, initial_displacement_m=start)
     travel_m = np.abs(np.asarray(motion.displacement_m)[0] - start)
     if travel_m.max() >= RAMP_TRAVEL_M:
         top = float(command[np.argmax(travel_m >= RAMP_TRAVEL_M)])
-    command = excitation.ramp(top=top, duration_s=RAMP_S).command
+    command = _two_channel_command(direction, excitation.ramp(top=top, duration_s=RAMP_S))
     names = [f"ramp-{direction}-{number:02d}" for number in range(1, repeats + 1)]
-    return _logs(rig, names, [_two_channel_command(direction, command)] * repeats, [start] * repeats, seed)
+    return _logs(rig, names, [command] * repeats, [start] * repeats, seed)
 
 
 def _highest_command(rig: Rig, direction: str, static: StaticResult, travel_mm: float) -> float:
     """Return the largest effective current within pump flow, valve range and travel of one test, A."""
-    limits = rig_limits(rig)
-    bounds = [
-        _saturation(rig, direction) - static.dead_zone,
-        travel_mm / (static.speed_per_command * DYNAMIC_S),
-    ]
-    if direction == LIFTING:
-        bounds.append(FLOW_FRACTION * 1e3 * limits.lifting_speed_m_s / static.speed_per_command)
-    return min(bounds)
+    in_range = _saturation(rig, direction) - static.dead_zone
+    in_travel = travel_mm / (static.speed_per_command * DYNAMIC_S)
+    if direction != LIFTING:
+        return min(in_range, in_travel)
+    in_flow = FLOW_FRACTION * 1e3 * rig_limits(rig).lifting_speed_m_s / static.speed_per_command
+    return min(in_range, in_travel, in_flow)
 
 
 def _saturation(rig: Rig, direction: str) -> float:
@@ -320,16 +306,15 @@ def _cycles(rig: Rig, static: Mapping[str, StaticResult], tests: int, seed: int)
     commands, starts = [], []
     for _ in range(tests):
         start = rng.uniform(0.3, 0.7) * stroke_mm
-        commands.append(
-            cycle_commands(
-                static,
-                highest,
-                start_mm=start,
-                displacement_range=(0.15 * stroke_mm, 0.85 * stroke_mm),
-                duration_s=CYCLE_S,
-                seed=int(rng.integers(2**31)),
-            )
+        command = cycle_commands(
+            static,
+            highest,
+            start_mm=start,
+            displacement_range=(0.15 * stroke_mm, 0.85 * stroke_mm),
+            duration_s=CYCLE_S,
+            seed=int(rng.integers(2**31)),
         )
+        commands.append(command)
         starts.append(1e-3 * start)
     return _logs(rig, [f"cycle-{number:02d}" for number in range(1, tests + 1)], commands, starts, seed + 2)
 
@@ -358,11 +343,8 @@ def _logs(
 
 
 def _record(log: Log) -> Record:
-    signals = {
-        DISPLACEMENT: log.columns["displacement_mm"],
-        COMMAND[DIRECTIONS[0]]: log.columns["current_up_A"],
-        COMMAND[DIRECTIONS[1]]: log.columns["current_down_A"],
-    }
-    units = {role: "mm" if role == DISPLACEMENT else "A" for role in signals}
+    roles = (DISPLACEMENT, *(COMMAND[direction] for direction in DIRECTIONS))
+    names, units = ("displacement_mm", "current_up_A", "current_down_A"), ("mm", "A", "A")
+    signals = {role: log.columns[name] for role, name in zip(roles, names, strict=True)}
     step_s = float(np.median(np.diff(log.columns["time_s"])))
-    return Record(log.name, step_s, signals, units, kind=RAMP)
+    return Record(log.name, step_s, signals, dict(zip(roles, units, strict=True)), kind=RAMP)

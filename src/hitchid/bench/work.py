@@ -99,27 +99,22 @@ def work(
     samples = round(checks.number(duration_s, "duration_s", above=0.0) / SAMPLE_S)
     plan = _plan(rig, commands, samples, pause_s, ends, np.random.default_rng(seed))
     flow = rig.supply.pump_flow if pump_l_min is None else LITRES_PER_MIN * np.asarray(pump_l_min)
-    changing = [
-        _at_each_sample(value, samples, label)
-        for value, label in (
-            (rig.linkage.implement_mass if implement_kg is None else implement_kg, "implement_kg"),
-            (rig.oil.temperature if oil_degc is None else oil_degc, "oil_degc"),
-            (flow, "pump_l_min"),
-        )
-    ]
+    changing = []
+    for label, value in (
+        ("implement_kg", rig.linkage.implement_mass if implement_kg is None else implement_kg),
+        ("oil_degc", rig.oil.temperature if oil_degc is None else oil_degc),
+        ("pump_l_min", flow),
+    ):
+        array = np.asarray(value, float)
+        if array.shape not in ((), (samples,)) or not np.all(np.isfinite(array)):
+            raise InputError(f"{label}: expected a number or {samples} numbers, got shape {array.shape}")
+        changing.append(jnp.broadcast_to(jnp.asarray(array), (samples,)))
     rows = _work(rig, plan, jnp.stack(changing, axis=1), jax.random.key(seed))
     currents, measured, truth = (np.asarray(row) for row in rows)
     signals = {COMMAND[direction]: currents[:, number] for number, direction in enumerate(DIRECTIONS)}
     units = {**dict.fromkeys(signals, "A"), DISPLACEMENT: "mm"}
     record = Record(name, SAMPLE_S, {**signals, DISPLACEMENT: measured}, units)
     return Work(record, truth)
-
-
-def _at_each_sample(value: ArrayLike, samples: int, name: str) -> Float[Array, " n"]:
-    array = np.asarray(value, float)
-    if array.shape not in ((), (samples,)) or not np.all(np.isfinite(array)):
-        raise InputError(f"{name}: expected a number or {samples} numbers, got shape {array.shape}")
-    return jnp.broadcast_to(jnp.asarray(array), (samples,))
 
 
 def _plan(

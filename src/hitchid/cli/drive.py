@@ -63,8 +63,7 @@ def drive(
     from hitchid.bench import load_rig
     from hitchid.control import ModelPlant, load_controller
     from hitchid.control.drive import drive as run
-    from hitchid.control.drive_report import drive_report
-    from hitchid.control.limits import check_drive, read_drive_limits
+    from hitchid.control.drive_report import check_drive, drive_report, read_drive_limits
     from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT
     from hitchid.report import write_report
 

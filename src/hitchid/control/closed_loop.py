@@ -1,5 +1,6 @@
 """Closed loops of a position controller on the virtual bench, many at once."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
@@ -115,14 +116,6 @@ class _Sample(NamedTuple):
     dead_zone_change_a: Array
 
 
-class _Readings(NamedTuple):
-    """What is kept of one sample."""
-
-    displacement: Array | np.ndarray
-    measured: Array | np.ndarray
-    currents: Array | np.ndarray
-
-
 @double_precision
 def run_closed_loops(
     controller: PositionController,
@@ -149,7 +142,6 @@ def run_closed_loops(
         InputError: the start is not within the stroke, or the controller returns other than two currents.
     """
     samples = target_mm.size
-    padded = -(-samples // CHUNK) * CHUNK
     around = surroundings
     signals = _Sample(
         jnp.asarray(target_mm, jnp.float64),
@@ -161,22 +153,27 @@ def run_closed_loops(
         jnp.asarray(around.leakage_factor, jnp.float64),
         jnp.asarray(around.dead_zone_change_a, jnp.float64),
     )
-    inputs = jax.tree.map(
-        lambda rows: jnp.pad(jnp.broadcast_to(rows, (samples,)), (0, padded - samples), mode="edge"), signals
-    )
+    inputs = jax.tree.map(lambda rows: jnp.broadcast_to(rows, (samples,)), signals)
     # A sample's currents act until the measurement of the next one, whose sensor is that of its own sample.
     lost = inputs.sensor_lost
     first = jax.tree.map(lambda rows: rows[0], inputs)
     inputs = inputs._replace(sensor_lost=jnp.append(lost[1:], lost[-1]))
     factors = jnp.asarray(implement_factors, jnp.float64)
     keys = jax.random.split(key, factors.size)
-    starts = jax.vmap(lambda own, factor: _start(rig, own, factor, first, start_mm))(keys, factors)
+
+    def at_rest(own: PRNGKeyArray, factor: Array) -> tuple[bench.BenchState, bench.Measurement]:
+        force = _soil_n(first, jnp.asarray(start_mm))
+        disturbance = Disturbance(load_force_n=force, sensor_lost=first.sensor_lost)
+        here = _rig_at(rig, factor, first)
+        return bench.reset(here, own, initial_displacement_m=1e-3 * start_mm, disturbance=disturbance)
+
+    starts = jax.vmap(at_rest)(keys, factors)
     if isinstance(controller, eqx.Module):
-        readings = _run_traced(controller, rig, starts, factors, inputs, start_mm)
+        carry = (*starts, jax.vmap(controller.initial_state)(jnp.full(factors.size, start_mm)))
+        rows = in_chunks(lambda now, part: _run_chunk(controller, rig, now, factors, part), carry, inputs)
     else:
-        inputs = jax.tree.map(lambda rows: rows[:samples], inputs)
-        readings = _run_plain(controller, rig, starts, factors, inputs, start_mm)
-    displacement, measured, currents = (np.asarray(rows)[:, :samples] for rows in readings)
+        rows = _run_plain(controller, rig, starts, factors, inputs, start_mm)
+    displacement, measured, currents = rows
     return ClosedLoops(np.asarray(target_mm, float), displacement, measured, currents)
 
 
@@ -205,25 +202,34 @@ def run_plant_loops(
     Raises:
         InputError: the controller returns other than two commands, or the plant no number.
     """
-    hidden = np.broadcast_to(np.asarray(sensor_lost), target.shape)
+    lost = np.broadcast_to(np.asarray(sensor_lost), target.shape)
     if isinstance(controller, eqx.Module) and isinstance(plant, eqx.Module):
         seeds = seed + jnp.arange(loops)
-        padded = np.pad(target, (0, -target.size % CHUNK), mode="edge")
-        lost = np.pad(hidden, (0, -target.size % CHUNK), mode="edge")
         starts = jax.vmap(plant.reset, (None, 0))(jnp.asarray(start), seeds)
         state = controller.initial_state(start)
         own = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (loops, *jnp.shape(leaf))), state)
-        carry, chunks = (*starts, own), []
-        for begin in range(0, padded.size, CHUNK):
-            part = (jnp.asarray(padded[begin : begin + CHUNK]), jnp.asarray(lost[begin : begin + CHUNK]))
-            carry, rows = _run_plant_chunk(controller, plant, carry, part)
-            chunks.append(jax.tree.map(np.asarray, rows))
-        measured, commands = (np.concatenate(rows, axis=1) for rows in zip(*chunks, strict=True))
-        measured, commands = measured[:, : target.size], commands[:, : target.size]
+        measured, commands = in_chunks(
+            lambda now, part: _run_plant_chunk(controller, plant, now, part), (*starts, own), (target, lost)
+        )
     else:
-        rows = [_plain_plant_loop(controller, plant, seed + k, target, hidden, start) for k in range(loops)]
+        rows = [_plain_plant_loop(controller, plant, seed + k, target, lost, start) for k in range(loops)]
         measured, commands = (np.stack(signals) for signals in zip(*rows, strict=True))
     return ClosedLoops(np.asarray(target, float), measured, measured, commands)
+
+
+def in_chunks(run: Callable[[Any, Any], tuple[Any, Any]], carry: Any, inputs: Any) -> Any:
+    """Return what `run` gives of samples, shape [N, …], as shape [T, N, …].
+
+    Chunk by chunk, so that runs of any length share one compiled program.
+    """
+    samples = len(jax.tree.leaves(inputs)[0])
+    padded = jax.tree.map(lambda rows: np.pad(rows, (0, -samples % CHUNK), mode="edge"), inputs)
+    chunks = []
+    for begin in range(0, samples, CHUNK):
+        part = jax.tree.map(lambda rows, b=begin: jnp.asarray(rows[b : b + CHUNK]), padded)
+        carry, rows = run(carry, part)
+        chunks.append(jax.tree.map(np.asarray, rows))
+    return jax.tree.map(lambda *parts: np.concatenate(parts, axis=1)[:, :samples], *chunks)
 
 
 @eqx.filter_jit
@@ -269,23 +275,9 @@ def _number(measured: object) -> float:
 
 @double_precision
 def measured_at_rest(rig: Rig, key: PRNGKeyArray, displacement_mm: float, readings: int) -> float:
-    """Return what the bench's sensor measures of a hitch that is held, the mean of some readings, mm.
-
-    Args:
-        rig: the bench.
-        key: random key of the noise.
-        displacement_mm: true.
-        readings: number.
-    """
+    """Return what the bench's sensor measures of a hitch that is held, the mean of some readings, mm."""
     held = lambda own: bench.reset(rig, own, initial_displacement_m=1e-3 * displacement_mm)[1]  # noqa: E731
     return float(jax.vmap(held)(jax.random.split(key, readings)).displacement_mm.mean())
-
-
-def _start(rig: Rig, key: PRNGKeyArray, factor: Array, sample: _Sample, start_mm: float) -> tuple:
-    force = _soil_n(sample, jnp.asarray(start_mm))
-    here = _rig_at(rig, factor, sample)
-    disturbance = Disturbance(load_force_n=force, sensor_lost=sample.sensor_lost)
-    return bench.reset(here, key, initial_displacement_m=1e-3 * start_mm, disturbance=disturbance)
 
 
 def _rig_at(rig: Rig, factor: Array, sample: _Sample) -> Rig:
@@ -321,31 +313,18 @@ def _advance(
     return bench.step(_rig_at(rig, factor, sample), state, currents, disturbance)
 
 
-def _run_traced(
-    controller: PositionController, rig: Rig, starts: tuple, factors: Array, inputs: _Sample, start_mm: float
-) -> _Readings:
-    measured = jnp.full(factors.size, start_mm)
-    carry = (*starts, jax.vmap(controller.initial_state)(measured))
-    chunks = []
-    for begin in range(0, inputs.target.size, CHUNK):
-        part = jax.tree.map(lambda rows, b=begin: rows[b : b + CHUNK], inputs)
-        carry, readings = _run_chunk(controller, rig, carry, factors, part)
-        chunks.append(jax.tree.map(np.asarray, readings))
-    return jax.tree.map(lambda *parts: np.concatenate(parts, axis=1), *chunks)
-
-
 @eqx.filter_jit
 def _run_chunk(
     controller: PositionController, rig: Rig, carry: tuple, factors: Array, inputs: _Sample
-) -> tuple[tuple, _Readings]:
-    def advance(carry: tuple, sample: _Sample, factor: Array) -> tuple[tuple, _Readings]:
+) -> tuple[tuple, tuple[Array, Array, Array]]:
+    def advance(carry: tuple, sample: _Sample, factor: Array) -> tuple[tuple, tuple[Array, Array, Array]]:
         state, measurement, own = carry
         own, currents = controller.step(own, sample.target, measurement.displacement_mm)
         currents = jnp.asarray(currents, jnp.float64)
-        readings = _Readings(1e3 * state.plant.displacement, measurement.displacement_mm, currents)
+        readings = (1e3 * state.plant.displacement, measurement.displacement_mm, currents)
         return (*_advance(rig, factor, state, currents, sample), own), readings
 
-    def run(carry: tuple, factor: Array) -> tuple[tuple, _Readings]:
+    def run(carry: tuple, factor: Array) -> tuple[tuple, tuple[Array, Array, Array]]:
         return jax.lax.scan(lambda now, sample: advance(now, sample, factor), carry, inputs)
 
     return jax.vmap(run)(carry, factors)
@@ -353,7 +332,7 @@ def _run_chunk(
 
 def _run_plain(
     controller: PositionController, rig: Rig, starts: tuple, factors: Array, inputs: _Sample, start_mm: float
-) -> _Readings:
+) -> tuple[np.ndarray, ...]:
     """Run loop by loop, the controller outside of any compiled program."""
     loops = []
     advance = eqx.filter_jit(_advance)
@@ -368,7 +347,7 @@ def _run_plain(
             rows.append((1e3 * float(state.plant.displacement), measured, applied))
             state, measurement = advance(rig, factor, state, jnp.asarray(applied), sample)
         loops.append([np.array(column) for column in zip(*rows, strict=True)])
-    return _Readings(*(np.stack(signals) for signals in zip(*loops, strict=True)))
+    return tuple(np.stack(signals) for signals in zip(*loops, strict=True))
 
 
 def _two_currents(currents: object) -> Float[np.ndarray, "2"]:

@@ -73,19 +73,21 @@ class Figures(NamedTuple):
     @classmethod
     def of(cls, scenario: Scenario, loops: ClosedLoops) -> "Figures":
         """Return the figures of closed loops in a scenario."""
-        begin = scenario.begin
-        errors = (loops.displacement - scenario.target)[:, begin:]
+        errors = (loops.displacement - scenario.target)[:, scenario.begin :]
         final = loops.measured[:, -round(FINAL_S / SAMPLE_S) :] - scenario.target[-1]
         on = loops.commands > ON_A
         opened = np.sum(np.diff(on.astype(int), axis=1) > 0, axis=(1, 2))
-        duration_s = SAMPLE_S * scenario.target.size
+        overshoot = None
+        if scenario.amplitude:
+            beyond = np.sign(scenario.amplitude) * errors
+            overshoot = _worst(np.maximum(beyond.max(axis=1), 0.0))
         return cls(
-            iae=float(np.mean(_iae(errors))),
+            iae=float(np.mean(SAMPLE_S * np.abs(errors).sum(axis=1))),
             rmse=_worst(np.sqrt(np.mean(errors**2, axis=1))),
-            overshoot=_overshoot(scenario, errors),
+            overshoot=overshoot,
             settling_s=_settling_s(scenario, errors),
             final_error=_worst(np.abs(np.nanmean(final, axis=1))),
-            valve_actions_per_10_s=_worst(10 * opened / duration_s),
+            valve_actions_per_10_s=_worst(10 * opened / (SAMPLE_S * scenario.target.size)),
             both_valves_samples=int(np.sum(np.all(on, axis=-1))),
             samples_until_closed=_samples_until_closed(scenario, on),
             diverged=int(np.sum(~np.isfinite(loops.displacement).all(axis=1))),
@@ -99,10 +101,6 @@ def iae_ratios(
 
     The kinds count alike in `all`, whatever their number and length: the IAE of a step of 100 mm, which at
     the largest current no controller can change, is fifty times that of a ramp.
-
-    Args:
-        figures, baseline: scenario to figures.
-        kinds: scenario to kind.
     """
     ratios = {}
     for kind in (Kind.STEP, Kind.RAMP, Kind.SINE):
@@ -113,17 +111,6 @@ def iae_ratios(
 
 def _worst(values: Float[np.ndarray, " t"]) -> float:
     return float(np.quantile(values, SHARE))
-
-
-def _iae(errors: Float[np.ndarray, "t n"]) -> Float[np.ndarray, " t"]:
-    return SAMPLE_S * np.abs(errors).sum(axis=1)
-
-
-def _overshoot(scenario: Scenario, errors: Float[np.ndarray, "t n"]) -> float | None:
-    if not scenario.amplitude:
-        return None
-    beyond = np.sign(scenario.amplitude) * errors
-    return _worst(np.maximum(beyond.max(axis=1), 0.0))
 
 
 def _settling_s(scenario: Scenario, errors: Float[np.ndarray, "t n"]) -> float | None:
@@ -192,12 +179,11 @@ class Drive:
     def changed_ratios(self) -> dict[str, float]:
         """Scenario of changed load or oil to the ratio of its IAE to that of the same step without change."""
         own = self.figures[TESTED]
-        ratios = {}
-        for name, scenario in self.scenarios.items():
-            if scenario.kind in (Kind.LOAD_CHANGE, Kind.COLD_OIL):
-                nominal = own[step_name(scenario.amplitude)].iae
-                ratios[name] = own[name].iae / nominal
-        return ratios
+        return {
+            name: own[name].iae / own[step_name(scenario.amplitude)].iae
+            for name, scenario in self.scenarios.items()
+            if scenario.kind in (Kind.LOAD_CHANGE, Kind.COLD_OIL)
+        }
 
     @property
     def inside_band(self) -> dict[str, float]:
@@ -225,7 +211,10 @@ class Drive:
         by_kind = {scenario.kind: own[name] for name, scenario in self.scenarios.items()}
         lost = by_kind[Kind.SENSOR_LOST]
         ramps = [own[name].rmse for name, scenario in self.scenarios.items() if scenario.kind is Kind.RAMP]
-        inside, ploughing = self.inside_band, by_kind.get(Kind.PLOUGHING)
+        inside, band = self.inside_band, None
+        if inside:
+            band = {"inside": float(np.mean(list(inside.values()))), "scenarios": inside}
+        ploughing = by_kind.get(Kind.PLOUGHING)
         return {
             "unit": self.unit,
             "draws": self.draws,
@@ -234,7 +223,7 @@ class Drive:
                 "valve_actions_per_10_s": by_kind[Kind.HOLD].valve_actions_per_10_s,
                 "rmse": by_kind[Kind.HOLD].rmse,
             },
-            "both_valves_samples": sum(each.both_valves_samples for each in own.values()),
+            "both_valves_samples": sum(figures.both_valves_samples for figures in own.values()),
             "sine": {"rmse": by_kind[Kind.SINE].rmse},
             "ramps": {"rmse": max(ramps)},
             **({"ploughing": {"rmse": ploughing.rmse}} if ploughing is not None else {}),
@@ -243,14 +232,12 @@ class Drive:
                 "samples_until_closed": lost.samples_until_closed,
                 "final_error": lost.final_error,
             },
-            "diverged": sum(each.diverged for each in own.values()),
-            "band": {"inside": float(np.mean(list(inside.values()))), "scenarios": inside}
-            if inside
-            else None,
+            "diverged": sum(figures.diverged for figures in own.values()),
+            "band": band,
             "iae_ratio": self.iae_ratios["all"],
             "iae_ratios": self.iae_ratios,
             "iae": {
-                controller: {name: each.iae for name, each in figures.items()}
+                controller: {name: own.iae for name, own in figures.items()}
                 for controller, figures in self.figures.items()
             },
         }
@@ -294,74 +281,47 @@ def drive(
     checks.instance(controller, HitchController, "controller", "a controller as load_controller returns it")
     checks.integer(draws, "draws", minimum=1)
     checks.integer(seed, "seed")
+
+    def slowest(middle: float) -> float:
+        return min(float(axis.fastest(jnp.asarray(middle))) for axis in controller.axes)
+
+    bands, times_s = {}, {}
     if isinstance(rig, Rig):
-        middle = 500 * float(rig.cylinder.stroke)
+        todo, units = scenarios(rig, slowest(500 * float(rig.cylinder.stroke))), ("mm", "A")
+        if model is not None:
+            bands = _bands(controller, rig, model, load, todo, seed, progress)
+        largest = np.array([axis.largest_command for axis in controller.axes])
+        times_s = {own.name: least_time_s(rig, largest, own) for own in todo if own.kind is Kind.STEP}
     elif travel is None or not travel[0] < travel[1]:
         raise checks.input_error("travel", "lowest and highest displacement of the plant", travel)
     else:
-        middle = 0.5 * sum(travel)
-    slowest = min(float(axis.fastest(jnp.asarray(middle))) for axis in controller.axes)
-    if not isinstance(rig, Rig):
-        lowest, highest = cast(tuple[float, float], travel)
-        todo = plant_scenarios(lowest, highest, slowest, units[0])
-        loops = {}
-        for number, (name, each) in enumerate(_controllers(controller, tested).items()):
-            progress(ProgressUpdate(f"closed loops: {name}", 0.2 + 0.2 * number))
-            loops[name] = {
-                scenario.name: run_plant_loops(
-                    each,
-                    rig,
-                    seed,
-                    scenario.target,
-                    start=scenario.start,
-                    loops=draws,
-                    sensor_lost=scenario.surroundings.sensor_lost,
-                )
-                for scenario in todo
-            }
-        by_name = {scenario.name: scenario for scenario in todo}
-        return Drive(by_name, loops, _figures(by_name, loops), {}, {}, *units)
-    todo = scenarios(rig, slowest)
+        todo = plant_scenarios(*travel, slowest(0.5 * sum(travel)), units[0])
     factors = np.random.default_rng(seed).uniform(1 - LOAD_SPREAD, 1 + LOAD_SPREAD, draws)
-    bands = {} if model is None else _bands(controller, rig, model, load, todo, seed, progress)
-    loops = {}
-    for number, (name, each) in enumerate(_controllers(controller, tested).items()):
-        loops[name] = {}
+    controllers = {TESTED: controller if tested is None else tested, **baselines(controller)}
+    loops, figures = {}, {}
+    for number, (name, driven) in enumerate(cast(dict[str, PositionController], controllers).items()):
         progress(ProgressUpdate(f"closed loops: {name}", 0.2 + 0.2 * number))
-        for scenario in todo:
-            loops[name][scenario.name] = run_closed_loops(
-                each,
-                rig,
-                jax.random.key(seed),
-                scenario.target,
-                start_mm=scenario.start,
-                implement_factors=factors,
-                surroundings=scenario.surroundings,
-            )
-    by_name = {scenario.name: scenario for scenario in todo}
-    largest_command = np.array([axis.largest_command for axis in controller.axes])
-    times_s = {
-        scenario.name: least_time_s(rig, largest_command, scenario)
-        for scenario in todo
-        if scenario.kind is Kind.STEP
-    }
-    return Drive(by_name, loops, _figures(by_name, loops), bands, times_s)
+        loops[name] = {scenario.name: _run(driven, rig, scenario, factors, seed) for scenario in todo}
+        figures[name] = {scenario.name: Figures.of(scenario, loops[name][scenario.name]) for scenario in todo}
+    return Drive({scenario.name: scenario for scenario in todo}, loops, figures, bands, times_s, *units)
 
 
-def _controllers(
-    controller: HitchController, tested: PositionController | None
-) -> dict[str, PositionController]:
-    own = cast(PositionController, controller) if tested is None else tested
-    return {TESTED: own, **cast(dict[str, PositionController], baselines(controller))}
-
-
-def _figures(
-    by_name: Mapping[str, Scenario], loops: Mapping[str, Mapping[str, ClosedLoops]]
-) -> dict[str, dict[str, Figures]]:
-    return {
-        name: {scenario: Figures.of(by_name[scenario], each) for scenario, each in own.items()}
-        for name, own in loops.items()
-    }
+def _run(
+    driven: PositionController,
+    rig: Rig | Plant,
+    scenario: Scenario,
+    factors: Float[np.ndarray, " t"],
+    seed: int,
+) -> ClosedLoops:
+    """Return a loop of a scenario for each factor on the implement's mass, which another plant has not."""
+    target, start, around = scenario.target, scenario.start, scenario.surroundings
+    if not isinstance(rig, Rig):
+        count, lost = factors.size, around.sensor_lost
+        return run_plant_loops(driven, rig, seed, target, start=start, loops=count, sensor_lost=lost)
+    key = jax.random.key(seed)
+    return run_closed_loops(
+        driven, rig, key, target, start_mm=start, implement_factors=factors, surroundings=around
+    )
 
 
 def _bands(
@@ -380,14 +340,10 @@ def _bands(
     bands = {}
     for scenario in todo:
         if scenario.kind in BAND_KINDS:
-            key = jax.random.key(seed)
+            key, start = jax.random.key(seed), scenario.start
+            measured = measured_at_rest(rig, key, start, READINGS)
             runs = run_on_model(
-                controller,
-                hitches,
-                key,
-                scenario.target,
-                start=scenario.start,
-                measured_start=measured_at_rest(rig, key, scenario.start, READINGS),
+                controller, hitches, key, scenario.target, start=start, measured_start=measured
             )
             bands[scenario.name] = band_of(runs)
     return bands

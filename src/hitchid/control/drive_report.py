@@ -1,15 +1,20 @@
-"""Report of closed loops on the virtual bench: limits, figures of each scenario, rivals, margins."""
+"""Acceptance limits and report of closed loops on the virtual bench."""
 
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from hitchid._support import checks
 from hitchid._support.tables import DataTable
 from hitchid.control.closed_loop import ClosedLoops
 from hitchid.control.drive import BASELINE, TESTED, Drive
 from hitchid.control.prediction import Band
 from hitchid.control.scenarios import COMPENSATED, Kind, Scenario
+from hitchid.errors import SettingsError
 from hitchid.plots.style import COLOURS, FAINT, INK, PAGE_IN, legend_above, styled
 from hitchid.report import numbers
 from hitchid.report.document import (
@@ -24,7 +29,67 @@ from hitchid.report.document import (
     sentence,
 )
 from hitchid.report.verdict import limits_section
-from hitchid.validation import Acceptance
+from hitchid.validation import Acceptance, Check
+
+# Acceptance limits of a drive, from a file: at most what its metrics may be.
+
+AT_LEAST = ("band.inside",)  # figures with a lower limit
+
+
+def read_drive_limits(path: str | Path) -> dict[str, float]:
+    """Return the limits of a file by name, such as `steps.100.overshoot`.
+
+    The tables of the file are those of `metrics.json`; every number is the largest that is accepted, of
+    `band.inside` the smallest.
+
+    Raises:
+        SettingsError: the file is missing, no TOML, empty, or holds something that is not a number.
+    """
+    place = checks.path(path, "path")
+    try:
+        content = tomllib.loads(place.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SettingsError(f"{place}: cannot be read: {error.strerror}; expected a TOML file") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SettingsError(f"{place}: is not TOML: {error}") from error
+    limits = {}
+    for name, value in _flat(content):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+            raise SettingsError(f"{place}: {name}: got {value!r}, expected a finite number")
+        limits[name] = float(value)
+    if not limits:
+        raise SettingsError(f"{place}: has no limit; expected one such as iae_ratio = 0.6")
+    return limits
+
+
+def check_drive(metrics: Mapping[str, object], limits: Mapping[str, float]) -> Acceptance:
+    """Compare the metrics of a drive with limits; a figure that is missing fails its limit.
+
+    Raises:
+        SettingsError: a limit has the name of no figure.
+    """
+    figures = {name: value for name, value in _flat(metrics) if not isinstance(value, str)}  # but units
+    made = []
+    for name, limit in limits.items():
+        if name not in figures:
+            listed = ", ".join(sorted(figures))
+            raise SettingsError(f"limits: there is no figure '{name}'; expected one of {listed}")
+        value = figures[name]
+        bound = "at least" if name in AT_LEAST else "at most"
+        passed = value is not None and (value >= limit if name in AT_LEAST else value <= limit)
+        found = "missing: never settled, or not predicted" if value is None else f"{float(value):.4g}"
+        made.append(Check("closed loop", name, f"{bound} {limit:g}", found, bool(passed)))
+    return Acceptance(tuple(made))
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the values of nested tables with their path, such as `steps.100.overshoot`."""
+    for name, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
 
 # Figures of closed loops: displacement, its error and the currents over time; the margins' loops.
 
@@ -60,37 +125,25 @@ def closed_loop(
         label = "controller" if number == 0 else None
         displacement.plot(time_s, own, color=COLOURS["greybox"], linewidth=0.6, label=label)
         error.plot(time_s, own - target, color=COLOURS["greybox"], linewidth=0.6)
-    displacement.plot(
-        time_s,
-        baseline.displacement[0],
-        color=COLOURS["benchmark"],
-        dashes=(4, 1.5),
-        linewidth=0.9,
-        label=baseline_name,
-    )
-    error.plot(
-        time_s,
-        baseline.displacement[0] - target,
-        color=COLOURS["benchmark"],
-        dashes=(4, 1.5),
-        linewidth=0.9,
-    )
+    for axes, offset, label in ((displacement, 0.0, baseline_name), (error, target, None)):
+        axes.plot(
+            time_s,
+            baseline.displacement[0] - offset,
+            color=COLOURS["benchmark"],
+            dashes=(4, 1.5),
+            linewidth=0.9,
+            label=label,
+        )
     displacement.plot(time_s, target, color=INK, linewidth=0.9, label="target")
     for number, (name, colour) in enumerate((("lifting", "one_step"), ("lowering", "transfer_function"))):
-        current.plot(
-            time_s,
-            loops.commands[0, :, number],
-            color=COLOURS[colour],
-            linewidth=0.8,
-            label=f"{name} current",
-        )
+        commands, label = loops.commands[0, :, number], f"{name} current"
+        current.plot(time_s, commands, color=COLOURS[colour], linewidth=0.8, label=label)
     error.axhline(0.0, color=FAINT, linewidth=0.6)
-    beyond = np.abs(loops.displacement[:SHOWN, scenario.begin :] - target[scenario.begin :])
-    if scenario.amplitude:
-        error.set_ylim(-1.5 * scenario.tolerance, 1.5 * scenario.tolerance)
-    else:
+    widest = 1.5 * scenario.tolerance
+    if not scenario.amplitude:
+        beyond = np.abs(loops.displacement[:SHOWN, scenario.begin :] - target[scenario.begin :])
         widest = max(1.3 * float(beyond.max()), 0.1 * scenario.tolerance)
-        error.set_ylim(-widest, widest)
+    error.set_ylim(-widest, widest)
     displacement.set_ylabel(f"displacement / {units[0]}")
     error.set_ylabel(f"error / {units[0]}")
     current.set_ylabel(f"command / {units[1]}")
@@ -129,7 +182,18 @@ def drive_report(
         notices: warnings.
         command: the command line that wrote the report.
     """
-    metrics = result.metrics
+    unit, names = result.unit, tuple(result.figures)
+    figures = Table(f"Figures of the {TESTED}", _header(unit), _rows(result, TESTED))
+    areas = tuple(
+        (scenario, *(f"{result.figures[name][scenario].iae:.2f}" for name in names))
+        for scenario in result.scenarios
+    )
+    ratios = tuple((kind, f"{ratio:.2f}") for kind, ratio in result.iae_ratios.items())
+    beside = (
+        Table(f"IAE in {unit}·s, mean of the loops", ("scenario", *names), areas),
+        Table(f"IAE over that of {BASELINE}, geometric means", ("scenarios", "ratio"), ratios),
+    )
+    pictures = tuple(_picture(result, name, scenario) for name, scenario in result.scenarios.items())
     loops = numbers.count(result.draws, "loop")
     return Document(
         title="Closed loops",
@@ -138,15 +202,15 @@ def drive_report(
         notices=tuple(map(sentence, notices)),
         sections=(
             *([] if acceptance is None else [limits_section(acceptance)]),
-            ReportSection("Figures", (Text(EXPLANATION), _figure_table(result, TESTED))),
-            ReportSection("Beside the baselines", (_comparison(result), _ratios(result))),
+            ReportSection("Figures", (Text(EXPLANATION), figures)),
+            ReportSection("Beside the baselines", beside),
             ReportSection("Margins", (Text(MARGINS), _margin_table(margins))),
-            ReportSection("Scenarios", (Pictures(tuple(_pictures(result))),)),
+            ReportSection("Scenarios", (Pictures(pictures),)),
             ReportSection("How to reproduce", (Table("Origin", ("what", "value"), (("command", command),)),)),
         ),
         summary=(_summary(result),),
         checks=() if acceptance is None else acceptance.checks,
-        data=metrics,
+        data=result.metrics,
         data_tables={name: _data_table(result, name) for name in result.figures},
     )
 
@@ -163,6 +227,9 @@ MARGINS = (
 )
 
 
+ORDER = (Rating.BAD, Rating.CAUTION, Rating.GOOD)  # of findings
+
+
 def drive_verdict(result: Drive, acceptance: Acceptance | None = None) -> tuple[Finding, ...]:
     """Return what the tables of the report mean, the worst first.
 
@@ -171,75 +238,58 @@ def drive_verdict(result: Drive, acceptance: Acceptance | None = None) -> tuple[
     a held hitch with more than one valve action in ten seconds, and a bench outside the predicted band.
     """
     own, rival = result.figures[TESTED], result.figures[COMPENSATED]
-    findings = []
+    findings: list[Finding] = []
+
+    def judge(is_good: bool, text: str, otherwise: Rating = Rating.CAUTION) -> None:
+        findings.append(Finding(Rating.GOOD if is_good else otherwise, text))
+
     if acceptance is not None:
-        failed = [check.name for check in acceptance.checks if not check.passed]
-        text = f"{len(failed)} of {len(acceptance.checks)} limits failed: {', '.join(failed)}."
-        passed = f"All {len(acceptance.checks)} limits are met."
-        findings.append(Finding(Rating.BAD, text) if failed else Finding(Rating.GOOD, passed))
-    diverged = sum(each.diverged for each in own.values())
-    both = sum(each.both_valves_samples for each in own.values())
-    findings += [
-        Finding(Rating.BAD if diverged else Rating.GOOD, f"{diverged} loops diverged."),
-        Finding(Rating.BAD if both else Rating.GOOD, f"Both valves were on in {both} samples."),
-    ]
+        failed, count = (
+            [check.name for check in acceptance.checks if not check.passed],
+            len(acceptance.checks),
+        )
+        text = f"{len(failed)} of {count} limits failed: {', '.join(failed)}."
+        judge(not failed, text if failed else f"All {count} limits are met.", Rating.BAD)
+    diverged = sum(figures.diverged for figures in own.values())
+    both = sum(figures.both_valves_samples for figures in own.values())
+    judge(not diverged, f"{diverged} loops diverged.", Rating.BAD)
+    judge(not both, f"Both valves were on in {both} samples.", Rating.BAD)
     steps = {name: scenario for name, scenario in result.scenarios.items() if scenario.amplitude}
     restless = [name for name in steps if own[name].settling_s == np.inf]
-    off = {
-        name: own[name].final_error
-        for name, scenario in steps.items()
-        if not own[name].final_error <= scenario.tolerance
-    }
+    final = {name: own[name].final_error for name in steps}
+    off = [name for name, scenario in steps.items() if not final[name] <= scenario.tolerance]
     if restless:
-        findings.append(Finding(Rating.BAD, f"Never settled: {'; '.join(restless)}."))
+        judge(False, f"Never settled: {'; '.join(restless)}.", Rating.BAD)
     if off:
-        worst = max(off, key=lambda name: off[name])
+        worst = max(off, key=lambda name: final[name])
         text = f"{numbers.count(len(off), 'step')} of {len(steps)} end outside the tolerance, the farthest"
-        findings.append(Finding(Rating.BAD, f"{text} {off[worst]:.1f} {result.unit} off: {worst}."))
+        judge(False, f"{text} {final[worst]:.1f} {result.unit} off: {worst}.", Rating.BAD)
     if not restless and not off:
-        findings.append(Finding(Rating.GOOD, f"All {len(steps)} steps settle and end within the tolerance."))
+        judge(True, f"All {len(steps)} steps settle and end within the tolerance.")
     ratios = {
         name: own[name].iae / rival[name].iae
         for name, scenario in result.scenarios.items()
         if scenario.kind is not Kind.HOLD
     }
-    slower = {name: ratio for name, ratio in ratios.items() if not ratio <= 1}
+    slower = [name for name, ratio in ratios.items() if not ratio <= 1]
     if slower:
-        worst = max(slower, key=lambda name: slower[name])
-        text = (
-            f"The IAE of {len(slower)} of {len(ratios)} runs is larger than that of {COMPENSATED}, the most"
-        )
-        findings.append(Finding(Rating.CAUTION, f"{text} in {worst}: {slower[worst]:.2f} times."))
+        worst = max(slower, key=lambda name: ratios[name])
+        text = f"The IAE of {len(slower)} of {len(ratios)} runs is larger than that of {COMPENSATED}"
+        judge(False, f"{text}, the most in {worst}: {ratios[worst]:.2f} times.")
     elif ratios:
-        text = f"The IAE of each run is at most {max(ratios.values()):.2f} times that of {COMPENSATED}."
-        findings.append(Finding(Rating.GOOD, text))
+        judge(True, f"The IAE of each run is at most {max(ratios.values()):.2f} times that of {COMPENSATED}.")
     for name, scenario in result.scenarios.items():
         if scenario.kind is Kind.HOLD:
             actions = own[name].valve_actions_per_10_s
-            rating = Rating.GOOD if actions <= HELD_ACTIONS else Rating.CAUTION
-            findings.append(Finding(rating, f"A held hitch costs {actions:.1f} valve actions in 10 s."))
+            judge(actions <= HELD_ACTIONS, f"A held hitch costs {actions:.1f} valve actions in 10 s.")
     ratio = result.iae_ratios["all"]
-    findings.append(
-        Finding(
-            Rating.GOOD if ratio < 1 else Rating.CAUTION,
-            f"The IAE is {ratio:.2f} times that of {BASELINE}, mean of steps, ramps and sine.",
-        )
-    )
+    judge(ratio < 1, f"The IAE is {ratio:.2f} times that of {BASELINE}, mean of steps, ramps and sine.")
     inside = result.inside_band
     if inside:
         share = sum(inside.values()) / len(inside)
         text = f"{100 * share:.0f} % of the loops are inside the band that the identified model predicts."
-        findings.append(Finding(Rating.GOOD if share >= 0.85 else Rating.CAUTION, text))
-    order = (Rating.BAD, Rating.CAUTION, Rating.GOOD)
-    return tuple(sorted(findings, key=lambda finding: order.index(finding.level)))
-
-
-def _figure_table(result: Drive, controller: str) -> Table:
-    return Table(
-        f"Figures of the {controller}" if controller == TESTED else controller,
-        _header(result.unit),
-        _rows(result, controller),
-    )
+        judge(share >= 0.85, text)
+    return tuple(sorted(findings, key=lambda finding: ORDER.index(finding.level)))
 
 
 def _header(unit: str) -> tuple[str, ...]:
@@ -257,54 +307,28 @@ def _header(unit: str) -> tuple[str, ...]:
 def _rows(result: Drive, controller: str) -> tuple[tuple[str, ...], ...]:
     return tuple(
         (
-            _name(result, name),
-            f"{each.iae:.2f}",
-            f"{each.rmse:.2f}",
-            _cell(each.overshoot),
-            _cell(each.settling_s),
-            f"{each.final_error:.2f}",
-            f"{each.valve_actions_per_10_s:.1f}",
+            f"{name} (least {result.least_times_s[name]:.2f} s)" if name in result.least_times_s else name,
+            f"{figures.iae:.2f}",
+            f"{figures.rmse:.2f}",
+            _cell(figures.overshoot),
+            _cell(figures.settling_s),
+            f"{figures.final_error:.2f}",
+            f"{figures.valve_actions_per_10_s:.1f}",
         )
-        for name, each in result.figures[controller].items()
+        for name, figures in result.figures[controller].items()
     )
-
-
-def _name(result: Drive, name: str) -> str:
-    least_s = result.least_times_s.get(name)
-    return name if least_s is None else f"{name} (least {least_s:.2f} s)"
 
 
 def _cell(value: float | None) -> str:
     return "" if value is None else "never" if value == float("inf") else f"{value:.2f}"
 
 
-def _comparison(result: Drive) -> Table:
-    names = list(result.figures)
-    rows = tuple(
-        (scenario, *(f"{result.figures[name][scenario].iae:.2f}" for name in names))
-        for scenario in result.scenarios
-    )
-    return Table(f"IAE in {result.unit}·s, mean of the loops", ("scenario", *names), rows)
-
-
-def _ratios(result: Drive) -> Table:
-    rows = tuple((kind, f"{ratio:.2f}") for kind, ratio in result.iae_ratios.items())
-    return Table(f"IAE over that of {BASELINE}, geometric means", ("scenarios", "ratio"), rows)
-
-
 def _margin_table(margins: Mapping[str, Mapping[str, float]]) -> Table:
     rows = tuple(
-        (
-            f"{title} / {unit}" if unit else title,
-            *(f"{own[key]:.3g}" for own in margins.values()),
-        )
+        (f"{title} / {unit}" if unit else title, *(f"{own[key]:.3g}" for own in margins.values()))
         for key, (title, unit) in MARGIN_ROWS.items()
     )
     return Table("Margins", ("margin", *margins), rows)
-
-
-def _pictures(result: Drive) -> list[Picture]:
-    return [_picture(result, name, scenario) for name, scenario in result.scenarios.items()]
 
 
 def _picture(result: Drive, name: str, scenario: Scenario) -> Picture:

@@ -10,7 +10,6 @@ from jaxtyping import Float
 from hitchid._support import checks
 from hitchid._support.jax_setup import double_precision
 from hitchid._support.records import short_repr
-from hitchid.control.controller import Gains
 from hitchid.control.loops import SHARE, DirectionLoops, pi_gains
 from hitchid.control.prediction import loads_of_channels
 from hitchid.control.tuning import HIGHEST_RAD_S, LOWEST_RAD_S, check_tunable, fastest_gains, highest_rad_s
@@ -83,12 +82,12 @@ def limitation(
     check_tunable(model)
     if direction is not None:
         checks.one_of(direction, DIRECTIONS, "direction")
-    found = [
+    limitations = [
         _limitation(model, name, row, draws, seed)
         for name, row in zip(DIRECTIONS, loads_of_channels(model, load), strict=True)
         if direction in (None, name)
     ]
-    return max(found, key=lambda each: (each.limit == "margins", each.worst / each.nominal))
+    return max(limitations, key=lambda own: (own.limit == "margins", own.worst / own.nominal))
 
 
 def _limitation(
@@ -100,7 +99,8 @@ def _limitation(
     limit = "noise" if loops.noise_rad_s < HIGHEST_RAD_S else "search"
     if fastest is None or fastest.proportional < CAPPED * highest_rad_s(loops):
         limit = "margins"
-    sensitivity = _worst_sensitivity(loops, gains)
+    # Of the model, then of each draw, at its worst operating point.
+    sensitivity = np.max([point.sensitivity for point in loops.margins_at_points(gains)], axis=0)
     names = [parameter.name for parameter in model.channels[direction].benchmark.parameters]
     logs = np.log(np.minimum(sensitivity[1:], np.finfo(float).max))
     shares = {
@@ -118,8 +118,3 @@ def _limitation(
         float(np.quantile(sensitivity[1:], SHARE)),
         dict(sorted(shares.items(), key=lambda item: -item[1])),
     )
-
-
-def _worst_sensitivity(loops: DirectionLoops, gains: Gains) -> Float[np.ndarray, " s"]:
-    """Return Ms of the model and of each draw at its worst operating point, shape [1 + S]."""
-    return np.max([found.sensitivity for found in loops.margins_at_points(gains)], axis=0)

@@ -164,7 +164,12 @@ def margins(loop: Complex[np.ndarray, "*b f"], omega: Float[np.ndarray, " f"]) -
     phase = np.unwrap(np.angle(loop), axis=-1)
     # Half a sample of dead time leaves nothing at the Nyquist frequency, whose logarithm would be infinite.
     log_size = np.log(np.maximum(np.abs(loop), np.finfo(float).tiny))
-    gain_db = _at_crossings(phase_remainder(phase), -20 / np.log(10) * log_size)
+    # The phase less the nearest odd multiple of −180°, which is zero at a crossing and jumps by 2π elsewhere.
+    remainder, gains_db = (phase + 2 * np.pi) % (2 * np.pi) - np.pi, -20 / np.log(10) * log_size
+    changes_sign = np.sign(remainder[..., :-1]) != np.sign(remainder[..., 1:])
+    crosses = changes_sign & (np.abs(np.diff(remainder, axis=-1)) < np.pi)
+    at_crossing = gains_db[..., :-1] + _share(remainder) * np.diff(gains_db, axis=-1)
+    gain_db = np.where(crosses, at_crossing, np.inf).min(axis=-1)
     falls = (log_size[..., :-1] >= 0) & (log_size[..., 1:] < 0)
     share = _share(log_size)
     angle = np.rad2deg(phase[..., :-1] + share * np.diff(phase, axis=-1)) + 180.0
@@ -178,27 +183,10 @@ def margins(loop: Complex[np.ndarray, "*b f"], omega: Float[np.ndarray, " f"]) -
     return Margins(*map(np.asarray, (gain_db, phase_deg, delay_s, sensitivity, disk)))
 
 
-def phase_remainder(phase: Float[np.ndarray, "*b f"]) -> Float[np.ndarray, "*b f"]:
-    """Return the phase less the nearest odd multiple of −180°, rad."""
-    return (phase + 2 * np.pi) % (2 * np.pi) - np.pi
-
-
 def _share(values: Float[np.ndarray, "*b f"]) -> Float[np.ndarray, "*b g"]:
     """Return where between two samples a line through them is zero, 0 to 1 where it is."""
     change = np.diff(values, axis=-1)
     return np.clip(-values[..., :-1] / np.where(change == 0, 1.0, change), 0.0, 1.0)
-
-
-def _at_crossings(
-    remainder: Float[np.ndarray, "*b f"], values: Float[np.ndarray, "*b f"]
-) -> Float[np.ndarray, "*b"]:
-    """Return the smallest value at which a remainder crosses zero; infinite without a crossing."""
-    crosses = (np.sign(remainder[..., :-1]) != np.sign(remainder[..., 1:])) & (
-        np.abs(np.diff(remainder, axis=-1)) < np.pi
-    )
-    share = _share(remainder)
-    at_crossing = values[..., :-1] + share * np.diff(values, axis=-1)
-    return np.asarray(np.where(crosses, at_crossing, np.inf).min(axis=-1))
 
 
 # Gains of a position controller at a bandwidth, by two methods.
@@ -216,12 +204,8 @@ def pi_gains(bandwidth: float, lags: Lags, step_s: float) -> Gains:
 def lqi_gains(bandwidth: float, lags: Lags, step_s: float) -> Gains:
     """Return the gains that minimise Σ e² + (ω/ρ ∫e)² + (v/ω)² for y' = s, s + a₁ s' + a₂ s'' = v.
 
-    The states are the integral of the error, the position, the speed s and the acceleration.
-
-    Args:
-        bandwidth: ω, rad/s.
-        lags: a₁ and a₂, s and s².
-        step_s: sampling time, s.
+    The states are the integral of the error, the position, the speed s and the acceleration; ω is the
+    bandwidth, rad/s.
     """
     a1, a2 = max(lags[0], step_s), max(lags[1], step_s**2)
     a = np.zeros((4, 4))
@@ -325,16 +309,14 @@ class DirectionLoops:
         faster = (1 + HEAVIER) ** SPEED_EXPONENT if direction == LOWERING else 1.0
         for command, displacement in operating_points(channel):
             nominal = small_signal_at(here, command, displacement)
-            drawn = small_signals(
-                channel.benchmark,
-                jnp.asarray(vectors),
-                jnp.asarray(row),
-                jnp.asarray(command),
-                jnp.asarray(displacement),
-            )
+            point = map(jnp.asarray, (vectors, row, command, displacement))
+            drawn = small_signals(channel.benchmark, *point)
             models.append(plant_response(nominal, omega, model.step_s, exact_fraction=False))
             loaded = drawn._replace(gain=faster * np.asarray(drawn.gain))
-            plants.append(plant_response(_with_nominal(loaded, nominal), omega, model.step_s))
+            # The nominal model stands before the drawn ones.
+            join = lambda one, rows: np.concatenate([np.asarray(one)[None], np.asarray(rows)])  # noqa: E731
+            both = jax.tree.map(join, nominal, loaded)
+            plants.append(plant_response(both, omega, model.step_s))
         dead_times_s = vectors[:, channel.benchmark.values.size]
         upper = float(np.quantile(dead_times_s, 0.975))
         axis = axis_of(model, channel, row)
@@ -367,13 +349,6 @@ class DirectionLoops:
         return DirectionMargins(nominal, worst, self.dead_time_s)
 
 
-def _with_nominal(drawn: SmallSignal, nominal: SmallSignal) -> SmallSignal:
-    """Return the drawn linear models with the nominal one before them."""
-    return jax.tree.map(
-        lambda rows, one: np.concatenate([np.asarray(one)[None], np.asarray(rows)]), drawn, nominal
-    )
-
-
 def operating_points(channel: Channel) -> Iterator[tuple[float, float]]:
     """Yield effective command and displacement of the operating points."""
     highest = float(channel.operating_range.command.highest)
@@ -404,12 +379,11 @@ def sensor_noise(model: Hitch) -> float:
 
 def axis_of(model: Hitch, channel: Channel, row: Float[np.ndarray, " c"]) -> Axis:
     """Return the axis of a channel at values of its covariates, up to the largest current of its tests."""
-    largest_command = channel.dead_zone + float(channel.operating_range.command.highest)
     axis = Axis.of(
         channel.benchmark,
         sign=channel.sign,
         dead_zone=channel.dead_zone,
         step_s=model.step_s,
-        largest_command=largest_command,
+        largest_command=channel.dead_zone + float(channel.operating_range.command.highest),
     )
     return axis.at_load(dict(zip(channel.benchmark.covariates, row.tolist(), strict=False)))

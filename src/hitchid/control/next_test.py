@@ -265,7 +265,7 @@ def _signal(proposal: Proposal, step_s: float) -> np.ndarray:
         duration_s=proposal.duration_s,
         seed=proposal.seed,
         step_s=step_s,
-    ).command
+    )
 
 
 def _batch(channel: Channel, commands: Float[np.ndarray, "t n"], step_s: float) -> Batch:

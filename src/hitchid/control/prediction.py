@@ -13,7 +13,7 @@ from hitchid._support import checks
 from hitchid._support.jax_setup import double_precision
 from hitchid._support.records import short_repr
 from hitchid.control.axis import Axis, AxisState, buffer_of
-from hitchid.control.closed_loop import CHUNK
+from hitchid.control.closed_loop import in_chunks
 from hitchid.control.controller import ControllerState, HitchController
 from hitchid.errors import InputError
 from hitchid.model import Channel, Hitch
@@ -155,14 +155,12 @@ def run_on_model(
     """
     measured = start if measured_start is None else measured_start
     keys = jax.random.split(key, hitches.drift.size)
-    samples = target.size
-    padded = np.pad(target, (0, -samples % CHUNK), mode="edge")
-    carry = jax.vmap(lambda hitch, own: _start(controller, hitch, own, start, measured))(hitches, keys)
-    chunks = []
-    for part in padded.reshape(-1, CHUNK):
-        carry, rows = _run_chunk(controller, hitches, carry, jnp.asarray(part))
-        chunks.append(np.asarray(rows))
-    return np.concatenate(chunks, axis=1)[:, :samples]
+
+    def at_rest(hitch: DrawnHitch, own: PRNGKeyArray) -> tuple[_State, ControllerState]:
+        return _at_rest(hitch, own, jnp.asarray(measured)), controller.initial_state(start)
+
+    carry = jax.vmap(at_rest)(hitches, keys)
+    return in_chunks(lambda now, part: _run_chunk(controller, hitches, now, part), carry, target)
 
 
 def band_of(runs: Float[np.ndarray, "s n"]) -> Band:
@@ -175,12 +173,6 @@ def band_of(runs: Float[np.ndarray, "s n"]) -> Band:
     safe = np.maximum(deviation, np.finfo(float).tiny)
     factor = np.quantile(np.max(np.abs(runs - mean) / safe, axis=1), COVERAGE)
     return Band(mean - factor * deviation, mean + factor * deviation)
-
-
-def _start(
-    controller: HitchController, hitch: DrawnHitch, key: PRNGKeyArray, start: float, measured: float
-) -> tuple[_State, ControllerState]:
-    return _at_rest(hitch, key, jnp.asarray(measured)), controller.initial_state(start)
 
 
 def _at_rest(hitch: DrawnHitch, key: PRNGKeyArray, displacement: Array) -> _State:

@@ -266,13 +266,7 @@ def step_name(amplitude: float, unit: str = "mm") -> str:
 
 
 def least_time_s(rig: Rig, currents_a: Float[np.ndarray, "2"], scenario: Scenario) -> float:
-    """Return the least time in which the bench goes the way of a step: at the largest current, s.
-
-    Args:
-        rig: the bench.
-        currents_a: largest lifting and lowering current, A, shape [2].
-        scenario: a step.
-    """
+    """Return the least time in which the bench goes the way of a step: at the largest currents, A, in s."""
     number = 0 if scenario.amplitude > 0 else 1
     currents = np.zeros((1, scenario.target.size, 2))
     currents[..., number] = currents_a[number]
@@ -328,14 +322,12 @@ def _changes(middle: float, slowest_mm_s: float) -> Iterator[Scenario]:
             time_s = SAMPLE_S * (np.arange(step.target.size) - step.begin) - half_s + 0.5 * LOAD_TAKEN_S
             kg = before_kg + (after_kg - before_kg) * np.clip(time_s / LOAD_TAKEN_S, 0.0, 1.0)
             name = f"{before_kg:g} to {after_kg:g} kg, {step.name}"
-            yield _changed(step, name, Kind.LOAD_CHANGE, Surroundings(implement_kg=kg))
+            around = Surroundings(implement_kg=kg)
+            yield replace(step, name=name, kind=Kind.LOAD_CHANGE, surroundings=around)
     for sign in (1, -1):
         step = _step(middle, sign * CHANGED_STEP_MM, slowest_mm_s)
-        yield _changed(step, f"{COLD_C:g} °C oil, {step.name}", Kind.COLD_OIL, Surroundings(oil_c=COLD_C))
-
-
-def _changed(step: Scenario, name: str, kind: Kind, around: Surroundings) -> Scenario:
-    return replace(step, name=name, kind=kind, surroundings=around)
+        name, around = f"{COLD_C:g} °C oil, {step.name}", Surroundings(oil_c=COLD_C)
+        yield replace(step, name=name, kind=Kind.COLD_OIL, surroundings=around)
 
 
 def _wear(middle: float, slowest_mm_s: float) -> Scenario:
@@ -344,10 +336,11 @@ def _wear(middle: float, slowest_mm_s: float) -> Scenario:
     around = Surroundings(
         leakage_factor=1.0 + (WORN_LEAKAGE - 1.0) * grown, dead_zone_change_a=WORN_DEAD_ZONE_A * grown
     )
-    return _changed(step, f"wear, {step.name}", Kind.WEAR, around)
+    return replace(step, name=f"wear, {step.name}", kind=Kind.WEAR, surroundings=around)
 
 
 def _sensor_lost(step: Scenario) -> Scenario:
     time_s = SAMPLE_S * (np.arange(step.target.size) - step.begin)
     lost = (time_s >= LOST_S) & (time_s < 2 * LOST_S)
-    return _changed(step, "sensor lost", Kind.SENSOR_LOST, Surroundings(sensor_lost=lost))
+    around = Surroundings(sensor_lost=lost)
+    return replace(step, name="sensor lost", kind=Kind.SENSOR_LOST, surroundings=around)

@@ -56,10 +56,9 @@ def nichols(loops: Mapping[str, OpenLoop], largest_sensitivity: float) -> Figure
     axes = figure.subplots()
     for direction, loop in loops.items():
         phase, size = np.rad2deg(_phase(loop)), 20 * np.log10(np.abs(loop.response))
-        axes.plot(phase[1:].T, size[1:].T, color=COLOUR[direction], linewidth=0.3, alpha=0.15)
-        axes.plot(
-            phase[0], size[0], color=COLOUR[direction], dashes=DASH[direction], linewidth=1.2, label=direction
-        )
+        colour, dash = COLOUR[direction], DASH[direction]
+        axes.plot(phase[1:].T, size[1:].T, color=colour, linewidth=0.3, alpha=0.15)
+        axes.plot(phase[0], size[0], color=colour, dashes=dash, linewidth=1.2, label=direction)
     angle = np.linspace(0, 2 * np.pi, 361)
     circle = -1 + np.exp(1j * angle) / largest_sensitivity
     curve = np.rad2deg(np.angle(circle)) % 360 - 360
@@ -108,17 +107,10 @@ def _phase(loop: OpenLoop) -> Float[np.ndarray, "s f"]:
 
 
 def _band(axes: Axes, direction: str, loop: OpenLoop, rows: Float[np.ndarray, "s f"]) -> None:
-    frequency_hz = loop.omega / (2 * np.pi)
+    frequency_hz, colour, dash = loop.omega / (2 * np.pi), COLOUR[direction], DASH[direction]
     lower, upper = np.quantile(rows[1:], QUANTILES, axis=0)
-    axes.fill_between(frequency_hz, lower, upper, color=COLOUR[direction], alpha=0.2, linewidth=0)
-    axes.semilogx(
-        frequency_hz,
-        rows[0],
-        color=COLOUR[direction],
-        dashes=DASH[direction],
-        linewidth=1.2,
-        label=direction,
-    )
+    axes.fill_between(frequency_hz, lower, upper, color=colour, alpha=0.2, linewidth=0)
+    axes.semilogx(frequency_hz, rows[0], color=colour, dashes=dash, linewidth=1.2, label=direction)
 
 
 EXPLANATION = (
@@ -129,23 +121,21 @@ EXPLANATION = (
 
 
 def tune_report(result: Tuning, *, command: str = "") -> Document:
-    """Return the report of a tuned controller.
-
-    Args:
-        result: of `tune`.
-        command: the command line that wrote the report.
-    """
+    """Return the report of a tuned controller, with the command line that wrote it."""
+    rows = tuple((method, f"{error:.2f}") for method, error in result.trials.items())
+    title = f"IAE on drawn models, geometric mean of steps and ramps, {result.units['displacement']}·s"
+    trials = Table(title, ("method", "mean"), rows)
     return Document(
         title="Position controller",
         subtitle=f"{result.method} control; {numbers.count(result.draws, 'draw')} of the parameters",
         verdict=tuple(_finding(direction, own) for direction, own in result.margins.items()),
         sections=(
             ReportSection("Margins", (Text(EXPLANATION), _margin_table(result))),
-            ReportSection("Gains", (_gain_table(result), _trial_table(result))),
+            ReportSection("Gains", (_gain_table(result), trials)),
             ReportSection("Figures", (Pictures(tuple(_pictures(result))),)),
             ReportSection("How to reproduce", (Table("Origin", ("what", "value"), (("command", command),)),)),
         ),
-        data_tables={"open_loop": _loop_table(result)},
+        data_tables={"open_loop": DataTable.of_columns("open_loop", _columns(result.loops))},
     )
 
 
@@ -189,12 +179,6 @@ def _gain_table(result: Tuning) -> Table:
     return Table("Gains", header, rows)
 
 
-def _trial_table(result: Tuning) -> Table:
-    rows = tuple((method, f"{error:.2f}") for method, error in result.trials.items())
-    title = f"IAE on drawn models, geometric mean of steps and ramps, {result.units['displacement']}·s"
-    return Table(title, ("method", "mean"), rows)
-
-
 def _pictures(result: Tuning) -> list[Picture]:
     return [
         Picture(
@@ -232,7 +216,3 @@ def _columns(loops: Mapping[str, OpenLoop]) -> dict[str, np.ndarray]:
         columns[f"{direction}_real"] = loop.response[0].real
         columns[f"{direction}_imag"] = loop.response[0].imag
     return columns
-
-
-def _loop_table(result: Tuning) -> DataTable:
-    return DataTable.of_columns("open_loop", _columns(result.loops))

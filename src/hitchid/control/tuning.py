@@ -33,7 +33,7 @@ from hitchid.control.loops import (
 from hitchid.control.prediction import drawn_hitches, loads_of_channels, run_on_model
 from hitchid.errors import InputError
 from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT
-from hitchid.model import Channel, Hitch
+from hitchid.model import Hitch
 from hitchid.model.inputs import Load
 from hitchid.model.parameter_draws import DRAWS
 
@@ -146,13 +146,14 @@ def tune(
     check_tunable(model)
     progress(ProgressUpdate("operating points", 0.0))
     rows = loads_of_channels(model, load)
-    loops = [
-        DirectionLoops.of(model, direction, row, draws, seed)
-        for direction, row in zip(DIRECTIONS, rows, strict=True)
-    ]
+    loops, named_load = [], {}
+    for direction, row in zip(DIRECTIONS, rows, strict=True):
+        loops.append(DirectionLoops.of(model, direction, row, draws, seed))
+        covariates = model.channels[direction].benchmark.covariates
+        named_load |= dict(zip(covariates, row.tolist(), strict=False))
     trials: dict[str, tuple[HitchController, tuple[TrialRun, ...]]] = {}
     for number, (method, gains_of) in enumerate(METHODS.items(), start=1):
-        gains = [found for loop in loops if (found := fastest_gains(loop, gains_of)) is not None]
+        gains = [own for loop in loops if (own := fastest_gains(loop, gains_of)) is not None]
         if len(gains) < len(loops):
             continue
         controller = _controller(model, gains, rows)
@@ -165,19 +166,15 @@ def tune(
     }
     method = min(errors, key=lambda name: errors[name])
     controller, runs = trials[method]
+    tuned = tuple(zip(loops, controller.gains, strict=True))
     return Tuning(
-        controller,
-        method,
-        errors,
-        {loop.direction: loop.margins(gains) for loop, gains in zip(loops, controller.gains, strict=True)},
-        _named_load(model, rows),
-        {role: model.units[role] for role in (DISPLACEMENT, *COMMAND.values())},
-        draws,
-        {
-            loop.direction: OpenLoop(loop.omega, loop.responses(gains)[MIDDLE])
-            for loop, gains in zip(loops, controller.gains, strict=True)
-        },
-        runs[:2],
+        *(controller, method, errors),
+        margins={loop.direction: loop.margins(gains) for loop, gains in tuned},
+        load=named_load,
+        units={role: model.units[role] for role in (DISPLACEMENT, *COMMAND.values())},
+        draws=draws,
+        loops={loop.direction: OpenLoop(loop.omega, loop.responses(gains)[MIDDLE]) for loop, gains in tuned},
+        steps=runs[:2],
     )
 
 
@@ -198,9 +195,9 @@ def fastest_gains(loop: DirectionLoops, gains_of: GainsOf) -> Gains | None:
         return None
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        found = gains(middle)
+        tried = gains(middle)
         # The noise is multiplied by the gain on the position, which is not the bandwidth with every method.
-        passed = found.proportional <= highest and loop.margins(found).passed
+        passed = tried.proportional <= highest and loop.margins(tried).passed
         low, high = (middle, high) if passed else (low, middle)
     return gains(low)
 
@@ -236,21 +233,20 @@ def _trial_runs(
     hitches = drawn_hitches(controller, model, load, TRIAL_DRAWS, seed)
     if hitches is None:
         raise InputError("model: its parameters have no standard errors")
-    places = [place for _, place in operating_points(model.channels[DIRECTIONS[0]])]
-    middle, travel = float(np.mean(places)), TRIAL_SHARE * float(np.ptp(places) / np.ptp(STROKE_SHARES))
+    points = [displacement for _, displacement in operating_points(model.channels[DIRECTIONS[0]])]
+    middle, travel = float(np.mean(points)), TRIAL_SHARE * float(np.ptp(points) / np.ptp(STROKE_SHARES))
     slowest = min(float(axis.fastest(jnp.asarray(middle))) for axis in controller.axes)
     ramp_s = max(TRIAL_RAMP_S, 2 * travel / slowest)
     time_s = np.arange(0.0, TRIAL_START_S + ramp_s + TRIAL_SETTLING_S, model.step_s)
     moving_s = time_s - TRIAL_START_S
     step = np.where(moving_s < 0, 0.0, travel)
     ramp = travel * np.clip(moving_s / ramp_s, 0.0, 1.0)
-    ways = [step, -step, ramp, -ramp]
-    found = []
-    for number, way in enumerate(ways):
-        target = middle + way
-        runs = run_on_model(controller, hitches, jax.random.key(seed + number), target, start=middle)
-        found.append(TrialRun(time_s, target, runs))
-    return tuple(found)
+    runs = []
+    for number, way in enumerate((step, -step, ramp, -ramp)):
+        target, key = middle + way, jax.random.key(seed + number)
+        measured = run_on_model(controller, hitches, key, target, start=middle)
+        runs.append(TrialRun(time_s, target, measured))
+    return tuple(runs)
 
 
 def check_tunable(model: Hitch) -> None:
@@ -266,8 +262,9 @@ def check_tunable(model: Hitch) -> None:
     if not np.isclose(model.step_s, 0.01):
         raise InputError(f"model: its sampling time is {model.step_s:g} s, expected 0.01 s")
     for direction, channel in model.channels.items():
-        structure = channel.benchmark.structure
-        if structure.linear is None or not _integrates(channel):
+        structure, values = channel.benchmark.structure, channel.benchmark.values
+        # No derivative depends on the displacement of an integrator: constant current moves it for ever.
+        if structure.linear is None or np.any(np.asarray(structure.linear.state_space(values)[0])[:, 0] != 0):
             raise InputError(
                 f"model: the {direction} structure '{structure.name}' has no steady speed at constant "
                 "current; a position controller needs a linear structure with an integrator"
@@ -278,17 +275,10 @@ def check_tunable(model: Hitch) -> None:
             )
 
 
-def _integrates(channel: Channel) -> bool:
-    """Return whether the displacement grows for ever at constant current."""
-    benchmark = channel.benchmark
-    a, _ = benchmark.structure.require_linear().state_space(benchmark.values)
-    return bool(np.all(np.asarray(a)[:, 0] == 0))
-
-
 def _refusal(loops: Sequence[DirectionLoops]) -> str:
     """Return why no bandwidth has its margins, and which test would help."""
     slowest = [loop.margins(pi_gains(LOWEST_RAD_S, loop.lags, loop.step_s)) for loop in loops]
-    number = next((number for number, found in enumerate(slowest) if not found.passed), 0)
+    number = next((number for number, own in enumerate(slowest) if not own.passed), 0)
     loop, worst = loops[number], slowest[number].worst
     return (
         f"model: the {loop.direction} parameters are too little determined for a controller: at "
@@ -297,10 +287,3 @@ def _refusal(loops: Sequence[DirectionLoops]) -> str:
         f"delay margin; expected {MIN_GAIN_DB:g} dB, {MIN_PHASE_DEG:g}°, {MAX_SENSITIVITY:g} and "
         f"{2e3 * loop.dead_time_s:.0f} ms; run the test of hitchid design MODEL --for control"
     )
-
-
-def _named_load(model: Hitch, rows: Sequence[Float[np.ndarray, " c"]]) -> dict[str, float]:
-    named: dict[str, float] = {}
-    for channel, row in zip(model.channels.values(), rows, strict=True):
-        named |= dict(zip(channel.benchmark.covariates, row.tolist(), strict=False))
-    return named

@@ -35,59 +35,13 @@ SELF_TEST_MARGIN = 10  # on the tolerance of the proof: another compiler and C l
 SAMPLES = 3000  # of each reference run, 30 s at 100 Hz; chosen: all changes of direction occur
 KEYWORDS = frozenset(
     [
-        "auto",
-        "break",
-        "case",
-        "char",
-        "const",
-        "continue",
-        "default",
-        "do",
-        "double",
-        "else",
-        "enum",
-        "extern",
-        "float",
-        "for",
-        "goto",
-        "if",
-        "inline",
-        "int",
-        "long",
-        "register",
-        "restrict",
-        "return",
-        "short",
-        "signed",
-        "sizeof",
-        "static",
-        "struct",
-        "switch",
-        "typedef",
-        "union",
-        "unsigned",
-        "void",
-        "volatile",
-        "while",
-        "class",
-        "new",
-        "delete",
-        "template",
-        "this",
-        "try",
-        "catch",
-        "throw",
-        "public",
-        "private",
-        "protected",
-        "virtual",
-        "namespace",
-        "using",
-        "operator",
-        "bool",
-        "true",
-        "false",
-        "main",
+        *("auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum"),
+        *("extern", "float", "for", "goto", "if", "inline", "int", "long", "register", "restrict", "return"),
+        *("short", "signed", "sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void"),
+        *("volatile", "while"),
+        # Of C++, so that the header may be included there, and the entry of a program.
+        *("class", "new", "delete", "template", "this", "try", "catch", "throw", "public", "private"),
+        *("protected", "virtual", "namespace", "using", "operator", "bool", "true", "false", "main"),
     ]
 )
 MAX_NAME = 24  # characters: the longest generated identifier stays within the 63 that C99 distinguishes
@@ -147,6 +101,11 @@ class VerifiedSource:
         return tolerance_of(precision, self.constants.error_steps, self.travel_range)
 
     @property
+    def compiler_version(self) -> str:
+        """Version of the compiler; empty without one."""
+        return "" if self.compiler is None else self.compiler.version
+
+    @property
     def notices(self) -> tuple[str, ...]:
         """What the user must know of the proof."""
         return () if self.parity else (UNVERIFIED,)
@@ -195,8 +154,7 @@ def to_c(
         stated |= {"controller": {"current_difference": difference, "load": dict(controller.load)}}
     files[MANIFEST] = canonical_json(stated)
     write_folder(place, lambda target: write_files(target, files), result_kind=MANIFEST, force=force)
-    version = "" if verified.compiler is None else verified.compiler.version
-    return Export(place, verified.parity, version, verified.notices)
+    return Export(place, verified.parity, verified.compiler_version, verified.notices)
 
 
 def verified_source(
@@ -206,7 +164,14 @@ def verified_source(
     checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
     check_name(name)
     checks.one_of(precision, ("mixed", "double", "single"), "precision")
-    exported = model if compensators else without_compensators(model)
+    exported = model
+    if not compensators:
+        channels = {
+            direction: replace(channel, compensator=None, speed_compensator=None)
+            for direction, channel in model.channels.items()
+        }
+        # Without bands, too: they are those of the whole model.
+        exported = replace(model, channels=channels, uncertainty={})
     constants = constants_of(exported)
     runs = reference_runs(exported, samples)
     templates = c_templates(constants, name, precision)
@@ -238,27 +203,20 @@ def c_files(verified: VerifiedSource) -> dict[str, bytes]:
     name, templates = verified.name, verified.templates
     texts = {file: text for file, text in verified.files.items() if file != REPLAY}
     run = verified.runs[1]
-    tolerance = SELF_TEST_MARGIN * verified.tolerance.measured * verified.travel_range
-    texts[f"{name}_selftest.c"] = templates.render(
-        "selftest.c", rows=_self_test_rows(run), start=run.start, load=run.load, tolerance=tolerance
-    )
-    texts[f"{name}.py"] = templates.render("library.py")
-    version = "" if verified.compiler is None else verified.compiler.version
-    texts["README.md"] = templates.render("README.md", parity=verified.parity, compiler=version)
-    return {file: text.encode() for file, text in texts.items()}
-
-
-def _self_test_rows(run: ReferenceRun) -> tuple[tuple[float, ...], ...]:
-    """Return commands, measured displacement, whether it is valid, and the result, without NaN.
-
-    A command that is missing is its last value, which is what the model takes.
-    """
+    # A missing command is its last value, which is what the model takes: C has no NaN to write.
     rows, last = [], np.zeros(run.inputs.shape[1] - 1)
     for inputs, displacement in zip(run.inputs[:SELF_TEST_SAMPLES], run.displacement, strict=False):
         last = np.where(np.isfinite(inputs[:-1]), inputs[:-1], last)
         valid = bool(np.isfinite(inputs[-1]))
         rows.append((*last.tolist(), float(inputs[-1]) if valid else 0.0, float(valid), float(displacement)))
-    return tuple(rows)
+    tolerance = SELF_TEST_MARGIN * verified.tolerance.measured * verified.travel_range
+    texts[f"{name}_selftest.c"] = templates.render(
+        "selftest.c", rows=tuple(rows), start=run.start, load=run.load, tolerance=tolerance
+    )
+    texts[f"{name}.py"] = templates.render("library.py")
+    version = verified.compiler_version
+    texts["README.md"] = templates.render("README.md", parity=verified.parity, compiler=version)
+    return {file: text.encode() for file, text in texts.items()}
 
 
 def manifest(verified: VerifiedSource, target: str, precision: Precision) -> dict[str, object]:
@@ -271,7 +229,7 @@ def manifest(verified: VerifiedSource, target: str, precision: Precision) -> dic
         "step_s": verified.constants.step_s,
         "units": verified.constants.units,
         "parity": None if verified.parity is None else asdict(verified.parity),
-        "compiler": None if verified.compiler is None else verified.compiler.version,
+        "compiler": verified.compiler_version or None,
         "memory_bytes": {
             "state": verified.templates.state_bytes,
             "saved_state": verified.templates.saved_bytes,
@@ -279,15 +237,6 @@ def manifest(verified: VerifiedSource, target: str, precision: Precision) -> dic
         },
         "license": "The generated code belongs to the user of hitchid, without any condition.",
     }
-
-
-def without_compensators(model: Hitch) -> Hitch:
-    """Return a model with its physical part and filter alone, and no bands: they are those of the rest."""
-    channels = {
-        direction: replace(channel, compensator=None, speed_compensator=None)
-        for direction, channel in model.channels.items()
-    }
-    return replace(model, channels=channels, uncertainty={})
 
 
 def check_name(name: str) -> str:

@@ -51,10 +51,7 @@ class Field:
     @property
     def count(self) -> int:
         """Number of numbers."""
-        count = 1
-        for size in self.shape:
-            count *= size
-        return count
+        return math.prod(self.shape)
 
 
 @dataclass(frozen=True)
@@ -97,7 +94,10 @@ class CTemplates:
 
     def render(self, template: str, **more: object) -> str:
         """Return the text of a template, such as `model.c`."""
-        return _tidy(self.environment.get_template(f"{template}.jinja").render({**self.context, **more}))
+        text = self.environment.get_template(f"{template}.jinja").render({**self.context, **more})
+        # No trailing blanks, and at most one empty line at a time.
+        text = re.sub(r"[ \t]+\n", "\n", text)
+        return re.sub(r"\n{3,}", "\n\n", text).strip("\n") + "\n"
 
     def constant_bytes(self, source: str) -> int:
         """Return the bytes of the tables of numbers in a source, which a microcontroller keeps in its ROM."""
@@ -109,12 +109,9 @@ class CTemplates:
 
 
 def c_templates(model: ModelConstants, name: str, precision: Precision) -> CTemplates:
-    """Return the templates with the numbers of a model.
+    """Return the templates with the numbers of a model, and a prefix of all names in the code.
 
-    Args:
-        model: its numbers.
-        name: prefix of all names, a C identifier.
-        precision: `mixed`: physics in double, networks in single precision; or all in one.
+    `mixed` is physics in double, networks in single precision.
     """
     loads = [f"{comment(name)} ({comment(model.units.get(name, '1'))})" for name in model.covariates]
     model = replace(
@@ -122,19 +119,20 @@ def c_templates(model: ModelConstants, name: str, precision: Precision) -> CTemp
         units={role: comment(unit) for role, unit in model.units.items()},
         covariates=tuple(map(comment, model.covariates)),
     )
+    command_units = dict.fromkeys(model.units.get(COMMAND[own.name], "1") for own in model.channels)
     real = "float" if precision == "single" else "double"
     net = "double" if precision == "double" else "float"
     sizes = {"real": BYTES[real], "net": BYTES[net], "int": 4}
     parameters = list(_parameters(model))
-    common = list(_common_fields(model))
-    by_channel = {channel.name: list(_channel_fields(channel)) for channel in model.channels}
+    common = _common_fields(model)
+    by_channel = {channel.name: _channel_fields(channel) for channel in model.channels}
 
-    def typed(field: Field, owner: str) -> Typed:
-        return Typed.of(field, owner, name)
-
-    saved = [typed(field, "parameters.") for field in parameters]
-    saved += [typed(field, "") for field in common]
-    saved += [typed(field, f"{owner}.") for owner, fields in by_channel.items() for field in fields]
+    fields = [Typed.of(field, "", name) for field in common]
+    channel_fields = {
+        owner: [Typed.of(field, f"{owner}.", name) for field in own] for owner, own in by_channel.items()
+    }
+    saved = [Typed.of(field, "parameters.", name) for field in parameters] + fields
+    saved += [field for own in channel_fields.values() for field in own]
     state_bytes = sum(sizes[field.kind] * field.count for field in saved)
     header = MAGIC + LAYOUT.to_bytes(4, "little") + bytes.fromhex(model.digest[:16].ljust(16, "0"))
     context = {
@@ -149,13 +147,11 @@ def c_templates(model: ModelConstants, name: str, precision: Precision) -> CTemp
         "real_bits": BITS[real],
         "net_bits": BITS[net],
         "directions": " and ".join(channel.name for channel in model.channels),
-        "command_units": _command_units(model),
+        "command_units": " and ".join(command_units),
         "loads": ", ".join(loads),
         "parameters": parameters,
-        "fields": [typed(field, "") for field in common],
-        "channel_fields": {
-            owner: [typed(field, f"{owner}.") for field in fields] for owner, fields in by_channel.items()
-        },
+        "fields": fields,
+        "channel_fields": channel_fields,
         "saved": saved,
         "saved_bytes": 16 + state_bytes + 4,
         "header": list(header),
@@ -220,12 +216,6 @@ def _array(values: Iterable[Any], written: Any, indent: int = 8) -> str:
     return f"{{ {(',' + chr(10) + ' ' * indent).join(lines)} }}"
 
 
-def _tidy(text: str) -> str:
-    """Return text without trailing blanks, and with at most one empty line at a time."""
-    text = re.sub(r"[ \t]+\n", "\n", text)
-    return re.sub(r"\n{3,}", "\n\n", text).strip("\n") + "\n"
-
-
 def _trust(covered: Range | None, value: str, real: str) -> str:
     if covered is None:
         return number(1, real)
@@ -239,17 +229,9 @@ def _centred(covered: Range | None, value: str, real: str) -> str:
     return f"({value} - {number(covered.middle, real)}) / {number(covered.half_width, real)}"
 
 
-def _command_units(model: ModelConstants) -> str:
-    return " and ".join(
-        dict.fromkeys(model.units.get(COMMAND[channel.name], "1") for channel in model.channels)
-    )
-
-
 def _hidden(model: ModelConstants) -> int:
     """Return the size of the largest network of the compensators for predictions; 0 without any."""
-    return max(
-        (channel.compensator["hidden"] for channel in model.channels if channel.compensator), default=0
-    )
+    return max((own.compensator["hidden"] for own in model.channels if own.compensator), default=0)
 
 
 def _parameters(model: ModelConstants) -> Iterable[Field]:
@@ -302,7 +284,15 @@ def _channel_fields(channel: ChannelConstants) -> Iterable[Field]:
     yield Field("gain", "real", (3,))
     if channel.scheduling is not None:
         yield Field("opening", "real", (), "of the valve at the load")
-        yield from _at_load_fields(channel)
+        plant, most = channel.plant, 3  # MAX_STATES columns as in the C code
+        yield Field("transition", "real", (plant.nodes, plant.states, plant.states), "at the load")
+        yield Field("gamma0", "real", (plant.nodes, most))
+        yield Field("gamma1", "real", (plant.nodes, plant.states))
+        if plant.friction_at_rest is not None:
+            yield Field("friction", "real", (plant.nodes, most))
+            yield Field("natural_frequency", "real", (), "rad/s")
+        yield Field("speed_row", "real", (plant.states,))
+        yield Field("speed_gain", "real")
 
 
 def valve_fields(channel: ChannelConstants) -> Iterable[Field]:
@@ -315,16 +305,3 @@ def valve_fields(channel: ChannelConstants) -> Iterable[Field]:
     yield Field("flows", "real", (plant.delay_samples + 2,), "through the valve, the newest first")
     yield Field("demands", "int", (plant.delay_samples + 1,), "whether the command demanded motion")
     yield Field("plant", "real", (plant.states,), "state of the physical model")
-
-
-def _at_load_fields(channel: ChannelConstants) -> Iterable[Field]:
-    """Return the fields of a plant that is discretised for a load; MAX_STATES columns as in the C code."""
-    plant, most = channel.plant, 3
-    yield Field("transition", "real", (plant.nodes, plant.states, plant.states), "at the load")
-    yield Field("gamma0", "real", (plant.nodes, most))
-    yield Field("gamma1", "real", (plant.nodes, plant.states))
-    if plant.friction_at_rest is not None:
-        yield Field("friction", "real", (plant.nodes, most))
-        yield Field("natural_frequency", "real", (), "rad/s")
-    yield Field("speed_row", "real", (plant.states,))
-    yield Field("speed_gain", "real")

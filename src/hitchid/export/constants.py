@@ -69,20 +69,20 @@ class Plant:
     form: str
     states: int
     values: Rows
-    substeps: int
-    nodes: int
-    transition: Rows
-    gamma0: Rows
-    gamma1: Rows
-    friction: Rows
-    speed_row: Rows
-    speed_gain: float
-    friction_at_rest: float | None
-    friction_travel: float
-    natural_frequency: float
-    frequency_slope: float
-    delay_samples: int
     dead_time_parts_s: tuple[float, float]
+    substeps: int = 0
+    nodes: int = 1
+    transition: Rows = ()
+    gamma0: Rows = ()
+    gamma1: Rows = ()
+    friction: Rows = ()
+    speed_row: Rows = ()
+    speed_gain: float = 0.0
+    friction_at_rest: float | None = None
+    friction_travel: float = 0.0
+    natural_frequency: float = 0.0
+    frequency_slope: float = 0.0
+    delay_samples: int = 0
 
 
 def plant_of(channel: Channel, discrete: DiscretePhysicalModel) -> Plant:
@@ -101,28 +101,15 @@ def plant_of(channel: Channel, discrete: DiscretePhysicalModel) -> Plant:
             form=form,
             states=int(np.asarray(structure.init_state(benchmark.values, jnp.zeros(1))).shape[0]),
             values=rows(benchmark.values),
-            substeps=structure.substeps,
-            nodes=1,
-            transition=(),
-            gamma0=(),
-            gamma1=(),
-            friction=(),
-            speed_row=(),
-            speed_gain=0.0,
-            friction_at_rest=None,
-            friction_travel=0.0,
-            natural_frequency=0.0,
-            frequency_slope=0.0,
-            delay_samples=0,
             dead_time_parts_s=(0.0, step_s),
+            substeps=structure.substeps,
         )
     linear = structure.require_linear()
     form = _form(linear, STATE_SPACES)
     if form is None and (benchmark.scheduling is not None or linear.has_dry_friction):
         raise _unknown(linear.name)
-    values = dict(
-        zip((each.name for each in linear.parameters), np.asarray(benchmark.values).tolist(), strict=True)
-    )
+    names = [parameter.name for parameter in linear.parameters]
+    values = dict(zip(names, np.asarray(benchmark.values).tolist(), strict=True))
     a, b = (np.asarray(part) for part in linear.state_space(benchmark.values))
     along = benchmark.discretised_along_stroke(step_s)
     nodes = STROKE_NODES if benchmark.varies_along_stroke else 1
@@ -134,7 +121,7 @@ def plant_of(channel: Channel, discrete: DiscretePhysicalModel) -> Plant:
         form=form or "linear",
         states=b.size,
         values=rows(benchmark.values),
-        substeps=0,
+        dead_time_parts_s=(fraction * step_s, (1 - fraction) * step_s),
         nodes=nodes,
         transition=_per_node(models.transition, nodes, (b.size, b.size)),
         gamma0=_per_node(models.gamma0, nodes, (b.size,)),
@@ -147,7 +134,6 @@ def plant_of(channel: Channel, discrete: DiscretePhysicalModel) -> Plant:
         natural_frequency=values.get("natural_frequency", 0.0),
         frequency_slope=values.get("frequency_slope", 0.0) if benchmark.varies_along_stroke else 0.0,
         delay_samples=discrete.delay_samples,
-        dead_time_parts_s=(fraction * step_s, (1 - fraction) * step_s),
     )
 
 
@@ -172,15 +158,8 @@ def _per_node(array: object, nodes: int, shape: tuple[int, ...]) -> Rows:
 
 def curves_of(nonlinearity: StaticNonlinearity, step_s: float) -> dict[str, float]:
     """Return the numbers of the nonlinearities of valve and stroke at the sampling time."""
-    names = (
-        "opening",
-        "exponent",
-        "saturation",
-        "hysteresis",
-        "spool_lag",
-        "position_slope",
-        "position_curve",
-    )
+    names = ("opening", "exponent", "saturation", "hysteresis", "spool_lag")
+    names += ("position_slope", "position_curve")
     curves = {name: float(value) for name, value in zip(names, nonlinearity.named(*names), strict=True)}
     decay = float(np.exp(-step_s / curves["spool_lag"]))
     scales = nonlinearity.scales
@@ -273,7 +252,7 @@ class ModelConstants:
         """Spread of the innovations of each network; None where no channel has a compensator."""
         if not any(channel.compensator or channel.speed_compensator for channel in self.channels):
             return None
-        return tuple(each.compensator["error_step"] for each in self.channels if each.compensator)
+        return tuple(own.compensator["error_step"] for own in self.channels if own.compensator)
 
 
 @double_precision
@@ -285,19 +264,14 @@ def constants_of(model: Hitch) -> ModelConstants:
     """
     dynamics = HitchDynamics.of(tuple(model.channels.values()), model.step_s, model.drift)
     names = covariates_of(model.channels.values())
-    bands = {name: known.bands for name, known in model.uncertainty.items() if known.bands is not None}
+    bands = {direction: own.bands for direction, own in model.uncertainty.items() if own.bands is not None}
     has_bands = all(direction in bands for direction in model.channels)
+    pairs = zip(dynamics.channels, dynamics.discrete_models, strict=True)
     channels = tuple(
         channel_constants(
-            index,
-            channel,
-            discrete,
-            names,
-            bands=bands[channel.direction] if has_bands else None,
+            index, channel, discrete, names, bands=bands[channel.direction] if has_bands else None
         )
-        for index, (channel, discrete) in enumerate(
-            zip(dynamics.channels, dynamics.discrete_models, strict=True)
-        )
+        for index, (channel, discrete) in enumerate(pairs)
     )
     return ModelConstants(
         channels,
@@ -320,20 +294,12 @@ def channel_constants(
     *,
     bands: Bands | None = None,
 ) -> ChannelConstants:
-    """Return the numbers of a channel, and of its benchmark at the sampling time.
-
-    Args:
-        index: of the channel in its model.
-        channel: the channel.
-        discrete: its benchmark, discretised.
-        covariates: names of those of the model.
-        bands: around its predictions.
+    """Return the numbers of a channel, of its benchmark at the sampling time, and of its bands.
 
     Raises:
         InputError: as `constants_of`.
     """
     benchmark = channel.benchmark
-    load = channel.operating_range.load
     return ChannelConstants(
         name=channel.direction,
         index=index,
@@ -351,7 +317,7 @@ def channel_constants(
         ranges={
             "command": Range.of(channel.operating_range.command),
             "displacement": Range.of(channel.operating_range.displacement),
-            "load": [Range.of(load, number) for number in range(np.asarray(load.lowest).size)],
+            "load": Range.of_each(channel.operating_range.load),
         },
         compensator=compensator_of(channel.compensator) if channel.compensator is not None else None,
         speed_compensator=None

@@ -1,7 +1,6 @@
 """C99 code of a position controller, proved against the controller itself in closed loop with its model."""
 
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,6 +30,21 @@ TOLERANCES: dict[Precision, float] = {"double": 1e-7, "mixed": 1e-7, "single": 1
 # Of samples in which a threshold may be passed a sample earlier or later. Rounding in single precision passes
 # them otherwise more often, so that the same code is proved in double precision, too.
 APART_SHARE = 1e-3
+
+FIELDS = (  # of the state
+    Field("reference", "real", (), "shaped"),
+    Field("reference_speed", "real", (), "its speed"),
+    Field("integral", "real", (), "speed that the integral part asks for"),
+    Field("widening", "real", (), "factor on the outer window"),
+    Field("smoothed", "real", (), "predicted position without most of its noise"),
+    Field("drift", "real", (), "speed of the smoothed position beyond the predicted one"),
+    Field("measured", "real", (), "last valid"),
+    Field("target", "real", (), "last valid"),
+    Field("target_speed", "real", (), "of a moving target"),
+    Field("currents", "real", (2,), "last"),
+    Field("holding", "int", (), "whether the hitch is held with closed valves"),
+    Field("lost", "int", (), "whether the last measurement was missing"),
+)
 
 
 class ControllerRun(NamedTuple):
@@ -113,22 +127,12 @@ def controller_templates(
     controller: HitchController, name: str, precision: Precision, digest: str, units: dict[str, str]
 ) -> tuple[CTemplates, dict[str, Any]]:
     """Return the templates of a controller, and what they name beside the numbers of its two models."""
-    channels = tuple(
-        channel_constants(
-            number,
-            Channel(
-                direction,
-                axis.sign,
-                float(axis.model.dead_zone),
-                None,
-                axis.model.benchmark,
-                OperatingRange.unbounded(),
-            ),
-            axis.model,
-        )
-        for number, (direction, axis) in enumerate(zip(DIRECTIONS, controller.axes, strict=True))
-    )
-    constants = ModelConstants(channels, controller.step_s, 0.0, None, units, (), (), False, digest)
+    channels = []
+    for number, (direction, axis) in enumerate(zip(DIRECTIONS, controller.axes, strict=True)):
+        unbounded, dead_zone = OperatingRange.unbounded(), float(axis.model.dead_zone)
+        channel = Channel(direction, axis.sign, dead_zone, None, axis.model.benchmark, unbounded)
+        channels.append(channel_constants(number, channel, axis.model))
+    constants = ModelConstants(tuple(channels), controller.step_s, 0.0, None, units, (), (), False, digest)
     step_s = controller.step_s
     axes = [_axis(controller, number) for number in range(len(channels))]
     owned = {
@@ -141,7 +145,7 @@ def controller_templates(
     more = {
         "is_controller": True,
         "axes": axes,
-        "fields": [Typed.of(field, "", name) for field in _fields()],
+        "fields": [Typed.of(field, "", name) for field in FIELDS],
         "channel_fields": {
             owner: [Typed.of(field, f"{owner}.", name) for field in fields] for owner, fields in owned.items()
         },
@@ -164,8 +168,8 @@ def controller_run(controller: HitchController, model: Hitch, *, seed: int = 0) 
     """Return a run in closed loop with the model: steps, ramps, noise, a sensor that is lost."""
     rng = np.random.default_rng(seed)
     ranges = [channel.operating_range.displacement for channel in model.channels.values()]
-    low = min(float(each.lowest) for each in ranges)
-    high = max(float(each.highest) for each in ranges)
+    low = min(float(covered.lowest) for covered in ranges)
+    high = max(float(covered.highest) for covered in ranges)
     middle, width = (0.5 * (low + high), high - low) if high - low < 1e6 else (100.0, 75.0)
     targets = _targets(middle, STROKE_SHARE * width, controller.step_s, rng)
     lost = np.convolve(rng.random(SAMPLES) < MISSING, np.ones(round(0.1 / controller.step_s)))[:SAMPLES] > 0
@@ -194,23 +198,6 @@ def _targets(middle: float, reach: float, step_s: float, rng: np.random.Generato
     targets = targets[:SAMPLES]
     targets[rng.random(SAMPLES) < MISSING] = np.nan
     return targets
-
-
-def _fields() -> Sequence[Field]:
-    return (
-        Field("reference", "real", (), "shaped"),
-        Field("reference_speed", "real", (), "its speed"),
-        Field("integral", "real", (), "speed that the integral part asks for"),
-        Field("widening", "real", (), "factor on the outer window"),
-        Field("smoothed", "real", (), "predicted position without most of its noise"),
-        Field("drift", "real", (), "speed of the smoothed position beyond the predicted one"),
-        Field("measured", "real", (), "last valid"),
-        Field("target", "real", (), "last valid"),
-        Field("target_speed", "real", (), "of a moving target"),
-        Field("currents", "real", (2,), "last"),
-        Field("holding", "int", (), "whether the hitch is held with closed valves"),
-        Field("lost", "int", (), "whether the last measurement was missing"),
-    )
 
 
 def _axis(controller: HitchController, number: int) -> dict[str, Any]:

@@ -19,12 +19,11 @@ Rows = tuple[Any, ...]  # nested tuples of numbers
 
 def rows(array: object) -> Rows:
     """Return an array as nested tuples."""
-    nested = np.asarray(array).tolist()
 
     def frozen(part: object) -> object:
-        return tuple(frozen(each) for each in part) if isinstance(part, list) else part
+        return tuple(map(frozen, part)) if isinstance(part, list) else part
 
-    result = frozen(nested)
+    result = frozen(np.asarray(array).tolist())
     return result if isinstance(result, tuple) else (result,)
 
 
@@ -50,6 +49,11 @@ class Range:
         width = ends[1] - ends[0]
         return cls(ends[0], ends[1], MARGIN * width if width > 0 else 1.0, 0.5 * width)
 
+    @classmethod
+    def of_each(cls, signals: SignalRange) -> "list[Range | None]":
+        """Return the ranges of several signals."""
+        return [cls.of(signals, number) for number in range(np.asarray(signals.lowest).size)]
+
     @property
     def middle(self) -> float:
         """Middle of the range."""
@@ -58,24 +62,15 @@ class Range:
 
 def filter_of(load_filter: LoadFilter, step_s: float) -> dict[str, float]:
     """Return the variances of a load filter, and how much of its transient is kept, at the sampling time."""
-    noise, scatter, length, transient, time_s, drift = (
-        float(getattr(load_filter, name))
-        for name in (
-            "noise",
-            "load_scatter",
-            "load_length",
-            "transient_scatter",
-            "transient_time",
-            "drift",
-        )
-    )
+    noise, transient_s = float(load_filter.noise), float(load_filter.transient_time)
     return {
         "noise_variance": noise**2,
-        "load_variance": scatter**2,
-        "load_length": min(length, LONGEST),
-        "transient_kept": math.exp(-step_s / time_s),
-        "transient_variance": -math.expm1(-2 * step_s / time_s) * transient**2,
-        "drift_variance": drift**2 * step_s,
+        "load_variance": float(load_filter.load_scatter) ** 2,
+        "load_length": min(float(load_filter.load_length), LONGEST),
+        "transient_kept": math.exp(-step_s / transient_s),
+        "transient_variance": -math.expm1(-2 * step_s / transient_s)
+        * float(load_filter.transient_scatter) ** 2,
+        "drift_variance": float(load_filter.drift) ** 2 * step_s,
     }
 
 
@@ -115,9 +110,7 @@ def speed_compensator_of(compensator: SpeedCompensator) -> dict[str, Any]:
         "ranges": {
             "command": Range.of(covered.command),
             "displacement": Range.of(covered.displacement),
-            "load": [
-                Range.of(covered.load, number) for number in range(np.asarray(covered.load.lowest).size)
-            ],
+            "load": Range.of_each(covered.load),
         },
     }
 

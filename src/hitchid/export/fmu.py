@@ -97,7 +97,7 @@ def to_fmu(
     verified = verified_source(model, name, precision=precision, compensators=compensators)
     sources = fmu_sources(verified, version)
     binaries, notices = _binaries(verified, version, sources, chosen)
-    compiler = "" if verified.compiler is None else verified.compiler.version
+    compiler = verified.compiler_version
     page = verified.templates.render(
         "documentation.html", variables=sources.variables, parity=verified.parity, compiler=compiler
     )
@@ -105,7 +105,15 @@ def to_fmu(
     content["resources/manifest.json"] = canonical_json(
         {**manifest(verified, version, precision), "platforms": sorted(binaries)}
     )
-    write_bytes(place, _archive(content), force=force)
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as file:
+        for path_in_archive in sorted(content, key=lambda key: (key != "modelDescription.xml", key)):
+            entry = zipfile.ZipInfo(path_in_archive, EPOCH)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = 0o644 << 16
+            entry.create_system = 3  # the same on all platforms
+            file.writestr(entry, content[path_in_archive])
+    write_bytes(place, archive.getvalue(), force=force)
     return Export(place, verified.parity, compiler, (*verified.notices, *notices))
 
 
@@ -138,7 +146,7 @@ def fmu_sources(verified: VerifiedSource, version: Version) -> FmuSources:
     name, templates = verified.name, verified.templates
     start = verified.runs[0].start
     parameters = templates.context["parameters"]
-    variables = fmu_variables(verified.constants, parameters, start, with_time=version == "fmi3")
+    variables = tuple(fmu_variables(verified.constants, parameters, start, with_time=version == "fmi3"))
     adapter = f"{name}_{version}.c"
     code = {file: verified.files[file].encode() for file in (f"{name}.h", f"{name}.c")}
     text = templates.render(f"{version}.c", variables=variables, token="", **_state_header(b"", variables))
@@ -150,8 +158,7 @@ def fmu_sources(verified: VerifiedSource, version: Version) -> FmuSources:
         f"Displacement of {templates.context['directions']}, sampled every {verified.constants.step_s} s; "
         f"hitchid model {verified.constants.digest[:12] or 'not saved'}"
     )
-    compiled = (f"{name}.c", adapter)
-    step_s = verified.constants.step_s
+    compiled, step_s = (f"{name}.c", adapter), verified.constants.step_s
     return FmuSources(
         variables,
         model_description(version, name, token, variables, step_s, compiled, described),
@@ -176,7 +183,7 @@ def _binaries(
     here = _this_platform()
     if platforms is None:
         platforms = list(PLATFORMS) if cross else [here] if verified.compiler and here else []
-    others = [each for each in platforms if each != here]
+    others = [name for name in platforms if name != here]
     if others and cross is None:
         raise InputError(
             f"platform {others[0]}: this machine compiles for {here or 'no platform'} only; "
@@ -189,8 +196,7 @@ def _binaries(
         folder = Path(place)
         write_files(folder, sources.code)
         paths = [folder / file for file in sources.compiled]
-        for each in platforms:
-            target = PLATFORMS[each]
+        for target in map(PLATFORMS.__getitem__, platforms):
             out = folder / f"{verified.name}{target.suffix}"
             if cross is not None:
                 cross.compile(paths, out, "-target", target.target, *LIBRARY)
@@ -202,24 +208,8 @@ def _binaries(
 
 def _this_platform() -> str | None:
     """Return the name of the platform that this process runs on; None for one that is not known."""
-    machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(
-        platform.machine().lower(), platform.machine().lower()
-    )
-    system = {"linux": "linux", "darwin": "darwin", "win32": "windows"}.get(sys.platform, sys.platform)
-    for name, known in PLATFORMS.items():
-        if known.folders["fmi3"] == f"{machine}-{system}":
-            return name
-    return None
-
-
-def _archive(files: dict[str, bytes]) -> bytes:
-    """Return a ZIP archive with fixed dates and order."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name in sorted(files, key=lambda each: (each != "modelDescription.xml", each)):
-            entry = zipfile.ZipInfo(name, EPOCH)
-            entry.compress_type = zipfile.ZIP_DEFLATED
-            entry.external_attr = 0o644 << 16
-            entry.create_system = 3  # the same on all platforms
-            archive.writestr(entry, files[name])
-    return buffer.getvalue()
+    machine = platform.machine().lower()
+    machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(machine, machine)
+    system = "windows" if sys.platform == "win32" else sys.platform
+    folders = {target.folders["fmi3"]: name for name, target in PLATFORMS.items()}
+    return folders.get(f"{machine}-{system}")

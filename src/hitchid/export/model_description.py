@@ -1,6 +1,6 @@
 """`modelDescription.xml` of an FMU, FMI 2.0 and 3.0."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import pi
 from typing import Literal, NamedTuple
@@ -60,8 +60,8 @@ class Variable:
 
 def fmu_variables(
     model: ModelConstants, parameters: Sequence[Field], start: float, *, with_time: bool
-) -> tuple[Variable, ...]:
-    """Return the variables of an FMU in the order of their value references.
+) -> Iterator[Variable]:
+    """Yield the variables of an FMU in the order of their value references.
 
     Args:
         model: numbers of the model.
@@ -69,12 +69,6 @@ def fmu_variables(
         start: displacement at the start, by default.
         with_time: whether time is a variable, as FMI 3 requires.
     """
-    return tuple(_variables(model, parameters, start, with_time=with_time))
-
-
-def _variables(
-    model: ModelConstants, parameters: Sequence[Field], start: float, *, with_time: bool
-) -> Iterable[Variable]:
     unit = model.units["displacement"]
     if with_time:
         yield Variable("time", "TIME", "real", "independent", "continuous", "Simulation time", "s")
@@ -82,30 +76,22 @@ def _variables(
         name = COMMAND[channel.name]
         yield _input(name, f"Command of {channel.name}", model.units.get(name, "1"))
     yield _input("displacement_measured", "Measured displacement, where it is valid", unit, start)
-    yield Variable(
-        "measurement_valid",
-        "MEASUREMENT_VALID",
-        "boolean",
-        "input",
-        "discrete",
-        "Whether there is a measured displacement",
-    )
+    described = "Whether there is a measured displacement"
+    yield Variable("measurement_valid", "MEASUREMENT_VALID", "boolean", "input", "discrete", described)
     yield _parameter("displacement_start", "Displacement at the start", unit, start)
     names = identifiers(model.covariates)
     for name, covariate, mean in zip(names, model.covariates, model.mean_load, strict=True):
         described = f"{covariate} before motion; its mean in the tests by default"
         yield _parameter(f"load_{name}", described, model.units.get(covariate, "1"), mean)
     for field in parameters:
-        unit_of_field = _unit_of(field.name, model)
+        role = COMMAND.get(field.name.removesuffix("_dead_zone"))
+        tunable_unit = unit if role is None else model.units.get(role, "1")
+        if field.name.endswith("_gain_factor"):
+            tunable_unit = "1"
+        described = field.name.replace("_", " ").capitalize()
+        symbol = field.name.upper()
         yield Variable(
-            field.name,
-            field.name.upper(),
-            "real",
-            "parameter",
-            "tunable",
-            field.name.replace("_", " ").capitalize(),
-            unit_of_field,
-            field.value,
+            field.name, symbol, "real", "parameter", "tunable", described, tunable_unit, field.value
         )
     yield _output("displacement", "real", "Displacement", unit, start)
     mode = float(model.channels[0].command) if len(model.channels) == 1 else -1.0
@@ -127,14 +113,6 @@ def _parameter(name: str, description: str, unit: str, start: float) -> Variable
 
 def _output(name: str, kind: Kind, description: str, unit: str, start: float) -> Variable:
     return Variable(name, name.upper(), kind, "output", "discrete", description, unit, start)
-
-
-def _unit_of(parameter: str, model: ModelConstants) -> str:
-    if parameter.endswith("_gain_factor"):
-        return "1"
-    if parameter.endswith("_dead_zone"):
-        return model.units.get(COMMAND[parameter.removesuffix("_dead_zone")], "1")
-    return model.units["displacement"]
 
 
 Version = Literal["fmi2", "fmi3"]
@@ -216,13 +194,19 @@ def model_description(
     for kind in ("ModelExchange", "CoSimulation"):
         root.append(_interface(kind, name, sources, step_s, is_2=is_2))
     units = dict.fromkeys(variable.unit for variable in variables if variable.unit)
-    root.append(_unit_definitions(units))
+    definitions = ElementTree.SubElement(root, "UnitDefinitions")
+    for unit in units:
+        defined = ElementTree.SubElement(definitions, "Unit", {"name": unit})
+        if unit in BASE_UNITS:
+            base = BASE_UNITS[unit]
+            exponents = {symbol: str(exponent) for symbol, exponent in base.exponents.items()}
+            ElementTree.SubElement(defined, "BaseUnit", {**exponents, "factor": repr(base.factor)})
     categories = ElementTree.SubElement(root, "LogCategories")
     ElementTree.SubElement(categories, "Category", {"name": "logStatusError"})
     ElementTree.SubElement(root, "DefaultExperiment", {"startTime": "0", "stepSize": repr(step_s)})
     listed = ElementTree.SubElement(root, "ModelVariables")
     for reference, variable in enumerate(variables):
-        listed.append(_variable_2(reference, variable) if is_2 else _variable_3(reference, variable))
+        listed.append(_variable(reference, variable, is_2=is_2))
     root.append(_structure(variables, is_2=is_2))
     return xml_bytes(root)
 
@@ -255,25 +239,13 @@ def _interface(kind: str, name: str, sources: Sequence[str], step_s: float, *, i
     return element
 
 
-def _unit_definitions(units: Sequence[str] | dict[str, None]) -> Element:
-    element = Element("UnitDefinitions")
-    for unit in units:
-        defined = ElementTree.SubElement(element, "Unit", {"name": unit})
-        if unit in BASE_UNITS:
-            base = BASE_UNITS[unit]
-            attributes = {symbol: str(exponent) for symbol, exponent in base.exponents.items()}
-            ElementTree.SubElement(defined, "BaseUnit", {**attributes, "factor": repr(base.factor)})
-    return element
-
-
 def _value(variable: Variable) -> str:
     if variable.kind == "boolean":
         return "true" if variable.start else "false"
     return str(round(variable.start)) if variable.kind == "integer" else repr(variable.start)
 
 
-def _attributes(reference: int, variable: Variable) -> dict[str, str]:
-    """Return what both versions of the standard state of a variable alike."""
+def _variable(reference: int, variable: Variable, *, is_2: bool) -> Element:
     attributes = {
         "name": variable.name,
         "valueReference": str(reference),
@@ -281,55 +253,29 @@ def _attributes(reference: int, variable: Variable) -> dict[str, str]:
         "causality": variable.causality,
         "variability": variable.variability,
     }
-    if variable.causality == "output":
-        attributes["initial"] = "calculated"
-    elif variable.causality == "parameter":
-        attributes["initial"] = "exact"
-    return attributes
-
-
-def _variable_2(reference: int, variable: Variable) -> Element:
-    attributes = _attributes(reference, variable)
-    element = Element("ScalarVariable", attributes)
-    typed = ElementTree.SubElement(element, TYPES["fmi2"][variable.kind])
-    if variable.unit:
-        typed.set("unit", variable.unit)
-    if variable.causality != "output":
-        typed.set("start", _value(variable))
-    return element
-
-
-def _variable_3(reference: int, variable: Variable) -> Element:
-    attributes = _attributes(reference, variable)
-    if variable.unit:
-        attributes["unit"] = variable.unit
+    if variable.causality in ("output", "parameter"):
+        attributes["initial"] = "calculated" if variable.causality == "output" else "exact"
+    typed = {"unit": variable.unit} if variable.unit else {}
     if variable.causality not in ("output", "independent"):
-        attributes["start"] = _value(variable)
-    return Element(TYPES["fmi3"][variable.kind], attributes)
+        typed["start"] = _value(variable)
+    if not is_2:
+        return Element(TYPES["fmi3"][variable.kind], attributes | typed)
+    element = Element("ScalarVariable", attributes)
+    ElementTree.SubElement(element, TYPES["fmi2"][variable.kind], typed)
+    return element
 
 
 def _structure(variables: Sequence[Variable], *, is_2: bool) -> Element:
     """Return the structure: outputs depend on no input at their time; the first one on the start."""
     element = Element("ModelStructure")
-    outputs = [number for number, variable in enumerate(variables) if variable.causality == "output"]
-    start = next(number for number, each in enumerate(variables) if each.name == "displacement_start")
-    initial = {number: [start] if variables[number].name == "displacement" else [] for number in outputs}
-    if is_2:
-        listed = ElementTree.SubElement(element, "Outputs")
-        for number in outputs:
-            ElementTree.SubElement(listed, "Unknown", {"index": str(number + 1), "dependencies": ""})
-        listed = ElementTree.SubElement(element, "InitialUnknowns")
-        for number, known in initial.items():
-            dependencies = " ".join(str(each + 1) for each in known)
-            ElementTree.SubElement(
-                listed, "Unknown", {"index": str(number + 1), "dependencies": dependencies}
-            )
-        return element
-    for number in outputs:
-        ElementTree.SubElement(element, "Output", {"valueReference": str(number), "dependencies": ""})
-    for number, known in initial.items():
-        dependencies = " ".join(map(str, known))
-        ElementTree.SubElement(
-            element, "InitialUnknown", {"valueReference": str(number), "dependencies": dependencies}
-        )
+    outputs = [index for index, variable in enumerate(variables) if variable.causality == "output"]
+    start = next(index for index, own in enumerate(variables) if own.name == "displacement_start")
+    # FMI 2 lists variables by their number from 1, in lists of their own; FMI 3 by their reference, from 0.
+    first, key = (1, "index") if is_2 else (0, "valueReference")
+    for name in ("Output", "InitialUnknown"):
+        listed = ElementTree.SubElement(element, f"{name}s") if is_2 else element
+        for index in outputs:
+            depends = name == "InitialUnknown" and variables[index].name == "displacement"
+            attributes = {key: str(index + first), "dependencies": str(start + first) if depends else ""}
+            ElementTree.SubElement(listed, "Unknown" if is_2 else name, attributes)
     return element

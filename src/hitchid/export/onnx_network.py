@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from hitchid._support import checks
 from hitchid._support.files import canonical_json, check_folder, write_files, write_folder
@@ -79,7 +78,7 @@ def to_onnx(model: Hitch, folder: str | Path, *, name: str = "hitch", force: boo
             "model": model.provenance.digest,
             "versions": {"hitchid": installed_versions()["hitchid"]},
             "features": list(FEATURES),
-            "window": {direction: each.window for direction, each in networks.items()},
+            "window": {direction: network.window for direction, network in networks.items()},
             "step_s": model.step_s,
             "units": dict(model.units),
             "parity": parities,
@@ -113,6 +112,7 @@ def _network(compensator: Compensator, name: str) -> "onnx.ModelProto":
         "sequence": np.array([0]),
         "last": np.array([1]),
     }
+    lstm_inputs = ["x", "W", "R", "B", "", "h_0", "c_0"]
     nodes = [
         helper.make_node("Sub", ["features", "centre"], ["shifted"]),
         helper.make_node("Div", ["shifted", "spread"], ["scaled_double"]),
@@ -120,24 +120,22 @@ def _network(compensator: Compensator, name: str) -> "onnx.ModelProto":
         helper.make_node("Unsqueeze", ["scaled", "sequence"], ["x"]),
         helper.make_node("Unsqueeze", ["h", "sequence"], ["h_0"]),
         helper.make_node("Unsqueeze", ["c", "sequence"], ["c_0"]),
-        helper.make_node(
-            "LSTM", ["x", "W", "R", "B", "", "h_0", "c_0"], ["", "h_1", "c_1"], hidden_size=size
-        ),
+        helper.make_node("LSTM", lstm_inputs, ["", "h_1", "c_1"], hidden_size=size),
         helper.make_node("Squeeze", ["h_1", "sequence"], ["h_next"]),
         helper.make_node("Squeeze", ["c_1", "sequence"], ["c_next"]),
         helper.make_node("MatMul", ["h_next", "weights"], ["product"]),
         helper.make_node("Add", ["product", "bias"], ["column"]),
         helper.make_node("Squeeze", ["column", "last"], ["innovation"]),
     ]
-    states = [helper.make_tensor_value_info(each, TensorProto.FLOAT, [1, size]) for each in ("h", "c")]
-    next_states = [
-        helper.make_tensor_value_info(each, TensorProto.FLOAT, [1, size]) for each in ("h_next", "c_next")
-    ]
+    inputs, outputs = (
+        [helper.make_tensor_value_info(key, TensorProto.FLOAT, [1, size]) for key in keys]
+        for keys in (("h", "c"), ("h_next", "c_next"))
+    )
     graph = helper.make_graph(
         nodes,
         name,
-        [helper.make_tensor_value_info("features", TensorProto.DOUBLE, [1, len(FEATURES)]), *states],
-        [helper.make_tensor_value_info("innovation", TensorProto.FLOAT, [1]), *next_states],
+        [helper.make_tensor_value_info("features", TensorProto.DOUBLE, [1, len(FEATURES)]), *inputs],
+        [helper.make_tensor_value_info("innovation", TensorProto.FLOAT, [1]), *outputs],
         [numpy_helper.from_array(array, key) for key, array in constants.items()],
     )
     network = helper.make_model(
@@ -162,27 +160,19 @@ def _verify(content: bytes, compensator: Compensator) -> NetworkParity | None:
     inputs = np.asarray(compensator.centre) + np.asarray(compensator.spread) * rng.standard_normal(
         (READS, len(FEATURES))
     )
-    expected = _outputs(compensator, inputs)
+    hidden: LstmState = compensator.network.zero_state(())
     size = compensator.network.cell.hidden_size
     state = [np.zeros((1, size), np.float32)] * 2
-    outputs = []
+    outputs, expected = [], []
     for row in inputs:
+        hidden = compensator.network.step(hidden, compensator.scale(jnp.asarray(row)))
+        expected.append(float(compensator.error_step) * float(compensator.network.output(hidden)))
         output, *state = session.run(
             ["innovation", "h_next", "c_next"], {"features": row[None], "h": state[0], "c": state[1]}
         )
         outputs.append(np.asarray(output).item())
     spread = abs(float(compensator.error_step)) or 1.0
-    difference = float(np.max(np.abs(np.array(outputs) - expected))) / spread
+    difference = float(np.max(np.abs(np.array(outputs) - np.array(expected)))) / spread
     if not difference <= TOLERANCE * max(1.0, float(np.max(np.abs(expected))) / spread):
         raise ParityError(f"the ONNX file differs from the compensator by {difference:.2g} of its spread")
     return NetworkParity(difference, READS)
-
-
-def _outputs(compensator: Compensator, inputs: Float[np.ndarray, "n 10"]) -> Float[np.ndarray, " n"]:
-    """Return the network's outputs from the zero state, feature by feature, in the displacement's unit."""
-    hidden: LstmState = compensator.network.zero_state(())
-    outputs = []
-    for row in inputs:
-        hidden = compensator.network.step(hidden, compensator.scale(jnp.asarray(row)))
-        outputs.append(float(compensator.error_step) * float(compensator.network.output(hidden)))
-    return np.array(outputs)

@@ -21,7 +21,7 @@ from hitchid._support.inert import printable
 from hitchid.errors import HitchError, InputError
 from hitchid.export.c_templates import Precision
 from hitchid.logs.record import DIRECTIONS
-from hitchid.model import Channel, Hitch
+from hitchid.model import Hitch
 from hitchid.model.inputs import covariates_of, mean_load
 
 # Runs of a model that generated code must repeat: random commands, changes of direction, gaps.
@@ -29,11 +29,8 @@ from hitchid.model.inputs import covariates_of, mean_load
 SEED = 20_251  # of the commands; any
 LEVEL_S = (0.05, 1.5)  # shortest and longest time of a level of command, s
 GAIN_ERROR = 1.01  # of the measured displacement, so that the filter of the load has something to find
-MISSING, NOT_A_NUMBER, BOTH = (
-    0.02,
-    0.005,
-    0.15,
-)  # shares of samples without measurement, command; with both commands
+MISSING, NOT_A_NUMBER = 0.02, 0.005  # shares of samples without measurement and without command
+BOTH = 0.15  # share of the levels at which the other direction has a command, too, and of those with none
 START_SHARE = 0.5  # of the range of displacement, for the start
 
 
@@ -85,9 +82,9 @@ def reference_runs(model: Hitch, samples: int, *, seed: int = SEED) -> tuple[Ref
 def displacement_range(model: Hitch, run: ReferenceRun) -> float:
     """Return the widest range of displacement in the tests; that of a run where it is not known."""
     ranges = [channel.operating_range.displacement for channel in model.channels.values()]
-    widths = [float(each.highest) - float(each.lowest) for each in ranges]
-    known = [width for width in widths if np.isfinite(width) and width > 0]
-    return max(known, default=float(np.ptp(run.displacement)) or 1.0)
+    widths = [float(covered.highest) - float(covered.lowest) for covered in ranges]
+    bounded = [width for width in widths if np.isfinite(width) and width > 0]
+    return max(bounded, default=float(np.ptp(run.displacement)) or 1.0)
 
 
 def _commands(model: Hitch, samples: int, rng: np.random.Generator) -> Float[np.ndarray, "n c"]:
@@ -96,22 +93,22 @@ def _commands(model: Hitch, samples: int, rng: np.random.Generator) -> Float[np.
     commands = np.zeros((samples, len(channels)))
     shortest, longest = (max(1, round(length / model.step_s)) for length in LEVEL_S)
     longest = min(longest, max(shortest, samples // 20))
+    largest = [
+        channel.dead_zone + (highest if np.isfinite(highest) else max(channel.dead_zone, 1.0))
+        for channel in channels
+        for highest in (float(channel.operating_range.command.highest),)
+    ]
     at = 0
     while at < samples:
         length = int(rng.integers(shortest, longest + 1))
         active = int(rng.integers(len(channels)))
-        for number, channel in enumerate(channels):
+        for number, most in enumerate(largest):
             if number == active or rng.random() < BOTH:
-                commands[at : at + length, number] = rng.uniform(-0.1, 1.1) * _largest(channel)
+                commands[at : at + length, number] = rng.uniform(-0.1, 1.1) * most
         if rng.random() < BOTH:
             commands[at : at + length] = 0.0
         at += length
     return commands
-
-
-def _largest(channel: Channel) -> float:
-    highest = float(channel.operating_range.command.highest)
-    return channel.dead_zone + (highest if np.isfinite(highest) else max(channel.dead_zone, 1.0))
 
 
 def _start(model: Hitch) -> float:
@@ -133,16 +130,16 @@ def _run(
         state, displacement = model.step(state, commands, row[-1])
         states.append(state)
         displacements.append(float(displacement))
-    known = jax.vmap(model.unpack_state)(jax.tree.map(lambda *arrays: jnp.stack(arrays), *states))
-    modes = np.asarray(known.mode)
+    unpacked = jax.vmap(model.unpack_state)(jax.tree.map(lambda *arrays: jnp.stack(arrays), *states))
+    modes = np.asarray(unpacked.mode)
     return ReferenceRun(
         start,
         load,
         inputs,
         np.array(displacements),
         np.where(modes < 0, modes, np.array(columns)[modes]),
-        np.asarray(known.both_valves_active),
-        np.asarray(known.command_missing),
+        np.asarray(unpacked.both_valves_active),
+        np.asarray(unpacked.command_missing),
     )
 
 
@@ -281,11 +278,7 @@ def tolerance_of(precision: Precision, error_steps: Sequence[float] | None, trav
 
 
 def replay(program: Sequence[str], run: ReferenceRun, folder: Path) -> Float[np.ndarray, "n 4"]:
-    """Return displacement, mode, flags and half width of a run through a compiled replay program.
-
-    Raises:
-        ParityError: the program fails.
-    """
+    """Return displacement, mode, flags and half width of a run through a compiled replay program."""
     return run_replay(program, np.array([len(run.inputs), run.start, *run.load]), run.inputs, folder)
 
 
@@ -304,7 +297,7 @@ def run_replay(
         ParityError: the program fails.
     """
     source, result = folder / "inputs.bin", folder / "outputs.bin"
-    numbers = (np.ascontiguousarray(each, dtype="<f8").tobytes() for each in (head, inputs))
+    numbers = (np.ascontiguousarray(array, dtype="<f8").tobytes() for array in (head, inputs))
     source.write_bytes(b"".join(numbers))
     arguments = [*program, str(source), str(result)]
     environment = {name: os.environ[name] for name in ("SYSTEMROOT",) if name in os.environ}
@@ -336,10 +329,11 @@ def compare(
         float(np.max(np.abs(rows[:, 0] - run.displacement)) / travel_range)
         for run, rows in zip(runs, replayed, strict=True)
     )
-    modes = sum(
-        int(np.sum((rows[:, 1] != run.mode) | (_flags(rows) != _expected_flags(run))))
-        for run, rows in zip(runs, replayed, strict=True)
-    )
+    modes = 0
+    for run, rows in zip(runs, replayed, strict=True):
+        flags = rows[:, 2].astype(int) & (COMMAND_MISSING | BOTH_VALVES)
+        expected = COMMAND_MISSING * run.command_missing + BOTH_VALVES * run.both_valves
+        modes += int(np.sum((rows[:, 1] != run.mode) | (flags != expected)))
     return Parity(measured, free, modes, sum(len(run.inputs) for run in runs))
 
 
@@ -385,11 +379,3 @@ def verify(
             f"{parity.samples} samples; nothing was written; please report this model"
         )
     return parity
-
-
-def _flags(rows: Float[np.ndarray, "n 4"]) -> np.ndarray:
-    return rows[:, 2].astype(int) & (COMMAND_MISSING | BOTH_VALVES)
-
-
-def _expected_flags(run: ReferenceRun) -> np.ndarray:
-    return COMMAND_MISSING * run.command_missing + BOTH_VALVES * run.both_valves

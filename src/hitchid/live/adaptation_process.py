@@ -16,13 +16,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from hitchid._support import checks
 from hitchid._support.processes import Outbox
 from hitchid.errors import HitchError, InputError
-from hitchid.live.adapter import Adapter, AdapterState
+from hitchid.live.adapter import Adapter
 from hitchid.live.events import FAULT, REFUSED, Event, last_sample
 from hitchid.live.parameters import Changes, changed_model, numbers_of_models
 from hitchid.live.settings import AdaptationSettings
@@ -45,16 +44,6 @@ def stroke_of(message: bytes) -> Stroke:
     header, samples = message.split(b"\n", 1)
     rows = np.frombuffer(samples).reshape(-1, 3)
     return Stroke(**json.loads(header), commands=rows[:, :2], displacement=rows[:, 2])
-
-
-def outcome_message(state: AdapterState, events: Sequence[Event], numbers: ArrayLike) -> bytes:
-    """Return what was learned as a line of JSON, and the numbers of the physical models in use."""
-    header = {
-        "changes": {direction: list(changes) for direction, changes in state.changes.items()},
-        "bands": state.band_factors,
-        "events": [event.to_json() for event in events],
-    }
-    return json.dumps(header).encode() + b"\n" + np.asarray(numbers).tobytes()
 
 
 # Adaptation beside a running model: strokes are learned from in a process of its own.
@@ -113,12 +102,16 @@ class OnlineAdaptation:
         self._bands: dict[str, float] = {}
         self._process, self._connection = _started()
         self._outbox = Outbox(self._connection)
+        if isinstance(load, Mapping):
+            plain_load = {name: float(np.asarray(value)) for name, value in load.items()}
+        else:
+            plain_load = None if load is None else float(np.asarray(load))
         with tempfile.TemporaryDirectory() as folder:
             save(model, Path(folder) / "model")
             given = {
                 "model": str(Path(folder) / "model"),
                 "settings": asdict(settings or AdaptationSettings()),
-                "load": _plain(load),
+                "load": plain_load,
                 "earlier": [event.to_json() for event in earlier],
             }
             self._outbox.put(json.dumps(given).encode())
@@ -221,13 +214,6 @@ def _started() -> tuple[subprocess.Popen, Connection]:
     return process, Connection(own.detach())
 
 
-def _plain(load: Load | None) -> object:
-    """Return a load as content for JSON."""
-    if isinstance(load, Mapping):
-        return {name: float(np.asarray(value)) for name, value in load.items()}
-    return None if load is None else float(np.asarray(load))
-
-
 def main(arguments: Sequence[str]) -> None:
     """Learn from strokes until the other side is gone.
 
@@ -255,8 +241,13 @@ def _learn(connection: Connection, given: dict[str, Any]) -> None:
     adapter.prepare()
     events: tuple[Event, ...] = ()
     while True:
-        numbers = numbers_of_models(adapter.adapted(state))
-        connection.send_bytes(outcome_message(state, events, numbers))
+        header = {
+            "changes": {direction: list(changes) for direction, changes in state.changes.items()},
+            "bands": state.band_factors,
+            "events": [event.to_json() for event in events],
+        }
+        numbers = np.asarray(numbers_of_models(adapter.adapted(state)))
+        connection.send_bytes(json.dumps(header).encode() + b"\n" + numbers.tobytes())
         message = connection.recv_bytes()
         if message.startswith(b"rollback "):
             state, event = adapter.rollback(state, message.removeprefix(b"rollback ").decode())

@@ -1,7 +1,7 @@
 """Adaptation of a model: strokes in, changes of its parameters and events out."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from hitchid.errors import InputError
 from hitchid.live.channel_adaptation import ChannelAdaptation
 from hitchid.live.channel_state import ChannelState
 from hitchid.live.events import FAULT, LEARNED, REFUSED, Event, last_sample
-from hitchid.live.gates import Gate, Standstill, rested_at, standstill_before
+from hitchid.live.gates import Gate, rested_at, standstill_before
 from hitchid.live.parameters import Changes, changed_model, check_adaptable
 from hitchid.live.settings import AdaptationSettings
 from hitchid.live.stroke_errors import StrokeErrors
@@ -142,7 +142,13 @@ class Adapter:
             channels[direction], moved = other.moved(channels[direction], stroke, number)
             events += moved
         if standstill is not None and not fault:
-            events = [_with_leak(event, number, standstill) for event in events]
+            # The leak before a stroke that was learned from or refused.
+            events = [
+                replace(event, figures={**event.figures, **standstill.leak})
+                if event.kind in (LEARNED, REFUSED) and event.stroke == number
+                else event
+                for event in events
+            ]
         rested = rested_at(stroke, self.model.step_s)
         return AdapterState(channels, number, stroke.end, rested), tuple(events)
 
@@ -166,13 +172,6 @@ class Adapter:
     def adapted(self, state: AdapterState) -> Hitch:
         """Return the model with the changes in use, and with its bands as wide as they had to be."""
         return changed_model(self.model, state.changes, state.band_factors)
-
-
-def _with_leak(event: Event, number: int, standstill: Standstill) -> Event:
-    """Return an event, that of a stroke which was learned from or refused with the leak before it."""
-    if event.kind not in (LEARNED, REFUSED) or event.stroke != number:
-        return event
-    return replace(event, figures={**event.figures, **standstill.leak})
 
 
 def _identified(model: Hitch, direction: str) -> list[float]:
@@ -219,28 +218,16 @@ def adapt(
     """Return what a model learns from logs, one after the other; see `Hitch.adapt`."""
     adapter = Adapter(model, settings or AdaptationSettings(), load)
     state, events = adapter.resumed(earlier), list(earlier)
-    for strokes in _strokes_of_logs(model, records, last_sample(earlier, model.step_s)):
-        state = replace(state, rested_at=math.nan)  # what happened between logs is not known
-        for stroke in strokes:
-            state, happened = adapter.learn(state, stroke)
-            events += happened
-    return Adaptation(adapter.adapted(state), tuple(events), state)
-
-
-def _strokes_of_logs(model: Hitch, records: Iterable[Record], before: int) -> Iterator[list[Stroke]]:
-    """Yield the strokes of each log in the model's units, the samples counted from log to log.
-
-    Args:
-        model: identified hitch.
-        records: logs.
-        before: samples before the first of them.
-    """
+    before = last_sample(earlier, model.step_s)  # the samples are counted from log to log
     for record in records:
         converted = model.to_model_units(checks.instance(record, Record, "records", "records of logs"))
         commands = np.column_stack(
             [converted.signals.get(COMMAND[direction], np.zeros(len(converted))) for direction in DIRECTIONS]
         )
         cutter = StrokeCutter(model)
-        found = cutter.feed(commands, converted.displacement) + cutter.finish()
-        yield [stroke._replace(begin=before + stroke.begin) for stroke in found]
+        state = replace(state, rested_at=math.nan)  # what happened between logs is not known
+        for stroke in cutter.feed(commands, converted.displacement) + cutter.finish():
+            state, happened = adapter.learn(state, stroke._replace(begin=before + stroke.begin))
+            events += happened
         before += len(converted)
+    return Adaptation(adapter.adapted(state), tuple(events), state)

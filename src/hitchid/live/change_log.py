@@ -20,9 +20,8 @@ from hitchid.model import Hitch
 
 # The change log as a file: a line with the digest of its model, then a line for each event.
 
-MAX_LINE_BYTES = (
-    1 << 16
-)  # of an entry, a hundred times its usual length; another file must not fill the memory
+# Of an entry, a hundred times its usual length; another file must not fill the memory.
+MAX_LINE_BYTES = 1 << 16
 
 
 class _First(BaseModel):
@@ -31,12 +30,6 @@ class _First(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
 
     model: str
-
-
-def digest_line(model: Hitch) -> str:
-    """Return the first line of the change log of a model; empty of a model that was never saved."""
-    digest = model.provenance.digest
-    return json.dumps({"model": digest}) + "\n" if digest else ""
 
 
 def read_events(path: str | Path, model: Hitch | None = None) -> tuple[Event, ...]:
@@ -75,7 +68,14 @@ def read_log(path: str | Path, model: Hitch | None = None) -> tuple[tuple[Event,
                 size += len(line)
     except OSError as error:
         raise InputError(f"{file}: cannot be read: {error}") from error
-    _check_order(file, events)
+    latest_s = 0.0
+    for event in events:  # two writers at once would mix two histories
+        if event.stroke and event.time_s < latest_s:
+            raise InputError(
+                f"{file}: is not the change log of one run after the other: an entry of {event.time_s:g} s "
+                f"follows one of {latest_s:g} s; use a new file"
+            )
+        latest_s = max(latest_s, event.time_s if event.stroke else 0.0)
     return tuple(events), size
 
 
@@ -107,20 +107,8 @@ def _reason(error: ValueError) -> str:
     if not isinstance(error, ValidationError):
         return str(error)
     first = error.errors(include_url=False)[0]
-    place = ".".join(map(str, first["loc"]))
-    return f"{place}: {first['msg']}" if place else first["msg"]
-
-
-def _check_order(file: Path, events: list[Event]) -> None:
-    """Check that the strokes are in the order of their time: two writers at once would mix two histories."""
-    latest_s = 0.0
-    for event in events:
-        if event.stroke and event.time_s < latest_s:
-            raise InputError(
-                f"{file}: is not the change log of one run after the other: an entry of {event.time_s:g} s "
-                f"follows one of {latest_s:g} s; use a new file"
-            )
-        latest_s = max(latest_s, event.time_s if event.stroke else 0.0)
+    key = ".".join(map(str, first["loc"]))
+    return f"{key}: {first['msg']}" if key else first["msg"]
 
 
 # Wear: slow trends of gain, dead zone and leak in a change log, and when they reach a limit.
@@ -176,15 +164,15 @@ def trends(events: Sequence[Event], limits: Mapping[str, float]) -> tuple[Trend,
         InputError: an entry lacks a figure, or has a standard deviation that is not positive.
     """
     learned = [event for event in events if event.kind == LEARNED]
-    found = []
+    made = []
     for direction in dict.fromkeys(event.direction for event in learned):
         apart = [event for event in learned if event.direction == direction][::-1][::STROKES_APART][::-1]
         if len(apart) >= FEWEST:
-            found += [_trend(direction, parameter, apart, limits) for parameter in PARAMETERS]
+            made += [_trend(direction, parameter, apart, limits) for parameter in PARAMETERS]
     rested = [event for event in events if LEAK in event.figures]
     if len(rested) >= FEWEST:
-        found.append(_trend("", LEAK, rested, limits))
-    return tuple(found)
+        made.append(_trend("", LEAK, rested, limits))
+    return tuple(made)
 
 
 def _trend(direction: str, parameter: str, events: Sequence[Event], limits: Mapping[str, float]) -> Trend:
@@ -243,10 +231,13 @@ class ChangeLog:
     """
 
     def __init__(self, path: Path, model: Hitch) -> None:
-        self._path, self._first = path, digest_line(model)
+        self._path, digest = path, model.provenance.digest
+        self._first = json.dumps({"model": digest}) + "\n" if digest else ""  # none if it was never saved
         if path.exists() and not path.is_file():
             raise InputError(f"{path}: cannot be a change log: expected a file")
-        self._made = [] if path.exists() else [path, *(each for each in path.parents if not each.exists())]
+        self._made = (
+            [] if path.exists() else [path, *(folder for folder in path.parents if not folder.exists())]
+        )
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("ab", buffering=0)
@@ -257,7 +248,10 @@ class ChangeLog:
             # Read before anything of it is changed.
             self.earlier, size = read_log(path, model)
             self._file.seek(self._file.truncate(size))
-            if size and not _ends_line(path):
+            with path.open("rb") as existing:
+                existing.seek(max(size - 1, 0))
+                ends_line = existing.read() == b"\n"
+            if size and not ends_line:
                 self._append(b"\n")
         except OSError as error:
             self._file.close()
@@ -320,9 +314,3 @@ class ChangeLog:
 
     def _failure(self, error: OSError) -> OutputError:
         return OutputError(f"{self._path}: cannot be written: {error.strerror}")
-
-
-def _ends_line(path: Path) -> bool:
-    with path.open("rb") as file:
-        file.seek(-1, os.SEEK_END)
-        return file.read() == b"\n"

@@ -112,13 +112,7 @@ class ChannelAdaptation:
         return ChannelState(deployed, snapshots[-1], tuple(snapshots), estimate, estimate, band)
 
     def learn(self, state: ChannelState, stroke: Stroke, number: int) -> Outcome:
-        """Return the state after a stroke, and what happened.
-
-        Args:
-            state: before it.
-            stroke: of this channel.
-            number: of the stroke of the machine.
-        """
+        """Return the state after a stroke with its number, and what happened."""
         reason = self._gate.refusal(stroke)
         if reason:
             return state, [self._event(REFUSED, state, stroke, number, reason)]
@@ -126,9 +120,8 @@ class ChannelAdaptation:
         tried = [trial.changes for trial in state.candidates]
         tried += [state.target] * (MOST_CANDIDATES - len(tried))
         own_changes = self._estimates.own_changes(state, stroke)
-        runs = self._errors.runs(
-            stroke, [state.target, state.deployed, before, Changes(), *tried, *own_changes]
-        )
+        changes = [state.target, state.deployed, before, Changes(), *tried, *own_changes]
+        runs = self._errors.runs(stroke, changes)
         own = OWN + int(np.argmin(runs.mean_squares[OWN:]))
         reason = self._gate.misfit(runs, own, state.misfit)
         beyond = self._bounds.beyond(runs.changes[own])
@@ -148,8 +141,12 @@ class ChannelAdaptation:
         """Return the state after a stroke that passed the checks."""
         before, events = state, []
         misfit = state.misfit + MISFIT_RATE * (runs.share_left(own) - state.misfit)
-        outside = self._share_outside(state, stroke, runs)
-        band = state.band if outside is None else state.band.advance(outside, 1 - self._settings.coverage)
+        figures, band, coverage = {}, state.band, self._settings.coverage
+        half_width = self._errors.half_width(stroke, state.deployed, coverage)
+        if half_width is not None:
+            is_outside = np.abs(runs.errors[DEPLOYED_RUN]) > half_width(band.factor)
+            figures = {"outside": float(is_outside[runs.measured].mean())}
+            band = band.advance(figures["outside"], 1 - coverage)
         state = replace(state, misfit=misfit, band=band)
         fits = self._estimates.scattered(state, [runs.fit(run) for run in range(OWN)])
         state = self._compared(state, runs, fits)
@@ -160,8 +157,19 @@ class ChannelAdaptation:
             state, happened = self._detected(state, stroke, number, fits[TARGET_RUN])
             events += happened
         state, happened = self._estimated(state, stroke, number, fits[TARGET_RUN])
-        figures = self._figures(state, runs, fits[TARGET_RUN])
-        figures |= {} if outside is None else {"outside": outside}
+        errors, speed_error = np.sqrt(runs.mean_squares), fits[TARGET_RUN].speed_error
+        mean, deviation = state.estimate.mean, np.sqrt(np.diag(state.estimate.covariance))
+        figures = {
+            "error": float(errors[DEPLOYED_RUN]),
+            "error_as_identified": float(errors[IDENTIFIED_RUN]),
+            "speed_error": speed_error,
+            "gain": float(mean[GAIN]),
+            "gain_deviation": float(deviation[GAIN]),
+            "dead_zone": float(mean[DEAD_ZONE]),
+            "dead_zone_deviation": float(deviation[DEAD_ZONE]),
+            "band": state.band.log,
+            **figures,
+        }
         learned = replace(self._event(LEARNED, before, stroke, number, ""), figures=figures)
         return state, [learned, *events, *happened]
 
@@ -177,12 +185,7 @@ class ChannelAdaptation:
     ) -> Outcome:
         """Return the state with the changes before the last promotion, at once and bit for bit.
 
-        Args:
-            state: before it.
-            stroke: after which it happens; None where a user requested it.
-            number: of the last stroke of the machine.
-            reason: in words.
-            at_s: time, where there is no stroke, s.
+        Where a user requested it there is no stroke, but a time, s.
         """
         snapshots = state.snapshots[:-1] or state.snapshots
         back = snapshots[-1]
@@ -202,14 +205,6 @@ class ChannelAdaptation:
         )
         return state, [self._event(ROLLED_BACK, state, stroke, number, reason, at_s=at_s)]
 
-    def _share_outside(self, state: ChannelState, stroke: Stroke, runs: StrokeRuns) -> float | None:
-        """Return the share of a stroke's samples outside the band of its free run; None without bands."""
-        half_width = self._errors.half_width(stroke, state.deployed, self._settings.coverage)
-        if half_width is None:
-            return None
-        outside = np.abs(runs.errors[DEPLOYED_RUN]) > half_width(state.band.factor)
-        return float(outside[runs.measured].mean())
-
     def _compared(self, state: ChannelState, runs: StrokeRuns, fits: Sequence[StrokeFit]) -> ChannelState:
         """Return the state with candidate and watched changes compared over one more stroke."""
 
@@ -219,7 +214,9 @@ class ChannelAdaptation:
 
         return replace(
             state,
-            candidates=tuple(compared(each, run) for run, each in enumerate(state.candidates, CANDIDATE_RUN)),
+            candidates=tuple(
+                compared(trial, run) for run, trial in enumerate(state.candidates, CANDIDATE_RUN)
+            ),
             watch=None if state.watch is None else compared(state.watch, WATCH_RUN),
         )
 
@@ -238,28 +235,23 @@ class ChannelAdaptation:
 
     def _judged(self, state: ChannelState, stroke: Stroke, number: int, fits: Sequence[StrokeFit]) -> Outcome:
         """Promote the candidate where later strokes prove it better, drop it where they do not."""
-        kept, events = [], []
+        kept, events, settings = [], [], self._settings
+        # Strokes since a sudden change must be of one plant, at levels that differ, or be many.
+        strokes = [*(suspect for _, suspect in state.suspects), stroke]
+        confirmed = len(strokes) > ALIKE_STROKES or levels_differ(self._errors.channel, strokes)
         for run, trial in enumerate(state.candidates, CANDIDATE_RUN):
             explains = not trial.after_change or abs(fits[run].speed_error) < SUDDEN
-            confirmed = not trial.after_change or self._is_confirmed(state, stroke)
-            if explains and confirmed and self._is_proved(trial):
+            is_better = trial.squares < (1 - settings.improvement) ** 2 * trial.against
+            is_proved = is_better and trial.evidence > np.log(settings.evidence)
+            if explains and is_proved and (confirmed or not trial.after_change):
                 return self._promoted(state, trial, stroke, number)
             evidence = trial.evidence > -np.log(EVIDENCE_BACK)
-            if explains and evidence and trial.strokes < self._settings.patience:
+            if explains and evidence and trial.strokes < settings.patience:
                 kept.append(trial)
                 continue
             reason = f"not proved better over {trial.strokes} later strokes"
             events.append(self._event(DROPPED, state, stroke, number, reason, trial.changes))
         return replace(state, candidates=tuple(kept)), events
-
-    def _is_confirmed(self, state: ChannelState, stroke: Stroke) -> bool:
-        """Return whether strokes since a sudden change are of one plant at levels that differ, or many."""
-        strokes = [*(each for _, each in state.suspects), stroke]
-        return len(strokes) > ALIKE_STROKES or levels_differ(self._errors.channel, strokes)
-
-    def _is_proved(self, trial: Trial) -> bool:
-        better = trial.squares < (1 - self._settings.improvement) ** 2 * trial.against
-        return bool(better and trial.evidence > np.log(self._settings.evidence))
 
     def _promoted(self, state: ChannelState, trial: Trial, stroke: Stroke, number: int) -> Outcome:
         ratio = np.sqrt(trial.squares / trial.against)
@@ -287,9 +279,8 @@ class ChannelAdaptation:
         side = "faster" if detector.faster > detector.slower else "slower"
         arrival = Estimate(state.arrival.mean, self._estimates.wide)
         state = replace(state, detector=type(detector)(), window=state.window[-AFTER_ALARM:], arrival=arrival)
-        return state, [
-            self._event(CHANGE_DETECTED, state, stroke, number, f"strokes are {side} than the model")
-        ]
+        reason = f"strokes are {side} than the model"
+        return state, [self._event(CHANGE_DETECTED, state, stroke, number, reason)]
 
     def _estimated(self, state: ChannelState, stroke: Stroke, number: int, fit: StrokeFit) -> Outcome:
         """Add a stroke to the window, or to the suspected ones, and make a candidate of what they hold."""
@@ -299,7 +290,8 @@ class ChannelAdaptation:
         scatter = scatter_after(state.scatter, fit, state.estimate, self._bounds)
         window = (*state.window, (number, stroke))
         state = replace(state, scatter=scatter, window=window, suspects=())
-        state = replace(state, candidates=tuple(each for each in state.candidates if not each.after_change))
+        candidates = tuple(trial for trial in state.candidates if not trial.after_change)
+        state = replace(state, candidates=candidates)
         latest, first = self._estimates.of_window(state, window, state.arrival)
         candidate = self._estimates.cautious(state, window, self._estimates.known(state, latest))
         if len(window) == self._settings.window:
@@ -348,21 +340,6 @@ class ChannelAdaptation:
         reason = f"fitted to {len(strokes)} strokes" + " since a sudden change" * after_change
         events.append(self._event(CANDIDATE, state, stroke, number, reason, changes, numbers))
         return replace(state, candidates=(*state.candidates, Trial(changes, after_change))), events
-
-    def _figures(self, state: ChannelState, runs: StrokeRuns, fit: StrokeFit) -> dict[str, float]:
-        """Return what the change log says of a stroke."""
-        errors = np.sqrt(runs.mean_squares)
-        mean, deviation = state.estimate.mean, np.sqrt(np.diag(state.estimate.covariance))
-        return {
-            "error": float(errors[DEPLOYED_RUN]),
-            "error_as_identified": float(errors[IDENTIFIED_RUN]),
-            "speed_error": fit.speed_error,
-            "gain": float(mean[GAIN]),
-            "gain_deviation": float(deviation[GAIN]),
-            "dead_zone": float(mean[DEAD_ZONE]),
-            "dead_zone_deviation": float(deviation[DEAD_ZONE]),
-            "band": state.band.log,
-        }
 
     def _event(
         self,

@@ -28,12 +28,7 @@ LOW, HIGH = 0.1, 0.9
 
 
 def levels_differ(channel: Channel, strokes: Sequence[Stroke]) -> bool:
-    """Return whether the commands of strokes, in one or together, have levels that differ.
-
-    Args:
-        channel: as identified.
-        strokes: of its direction.
-    """
+    """Return whether the commands of strokes, in one or together, have levels that differ."""
     active = np.concatenate([_active(channel, stroke) for stroke in strokes])
     if not active.size:
         return False
@@ -219,13 +214,7 @@ class ChannelEstimates:
     def of_window(
         self, state: ChannelState, strokes: Sequence[Numbered], arrival: Estimate
     ) -> tuple[Estimate, Estimate]:
-        """Return the estimate after the strokes of a window, and that after its first; see `window_estimate`.
-
-        Args:
-            state: whose scatter and usual misfit hold.
-            strokes: of the window, the oldest first.
-            arrival: estimate before them.
-        """
+        """Return the estimate after the strokes of a window, and after its first; see `window_estimate`."""
 
         def fits_at(mean: np.ndarray) -> list[StrokeFit]:
             changes = Changes(*map(float, mean))

@@ -42,10 +42,6 @@ def with_scatter(fit: StrokeFit, scatter: Matrix) -> StrokeFit:
 
     By the matrix inversion lemma JᵀS⁻¹J = (I + H Σ)⁻¹H, JᵀS⁻¹r = (I + H Σ)⁻¹g and
     rᵀS⁻¹r = rᵀr − gᵀΣ (I + H Σ)⁻¹g, with H = JᵀJ and g = Jᵀr.
-
-    Args:
-        fit: of a stroke.
-        scatter: Σ, covariance of the changes from stroke to stroke.
     """
     inverse = np.linalg.inv(np.eye(3) + fit.information @ scatter)
     information = inverse @ fit.information
@@ -57,13 +53,7 @@ def with_scatter(fit: StrokeFit, scatter: Matrix) -> StrokeFit:
 
 
 def updated(prior: Estimate, fit: StrokeFit, drift: Matrix) -> Estimate:
-    """Return the estimate after one more stroke; its mean is clear of what the stroke does not tell.
-
-    Args:
-        prior: before it.
-        fit: of the stroke, of any linearisation.
-        drift: Q, covariance of the wandering from the stroke before.
-    """
+    """Return the estimate after one more stroke; its mean is clear of what the stroke does not tell."""
     predicted = prior.covariance + drift
     covariance = predicted @ np.linalg.inv(np.eye(3) + fit.information @ predicted)
     covariance = 0.5 * (covariance + covariance.T)
@@ -86,11 +76,6 @@ def conditional_mean(estimate: Estimate, free: Bool[np.ndarray, "3"], held_at: V
     """Return the mean of the free parameters where the others have known values.
 
     m_f + P_fh P_hh⁻¹ (h − m_h), with the rows and columns of the free (f) and of the others (h).
-
-    Args:
-        estimate: of all parameters.
-        free: which of them are.
-        held_at: values of the others.
     """
     covariance, held = estimate.covariance, ~free
     gain = covariance[np.ix_(free, held)] @ np.linalg.pinv(covariance[np.ix_(held, held)])
@@ -127,9 +112,8 @@ def window_estimate(
 
 # How much strokes differ from each other, beside what the parameters explain.
 
-LEAST_INFORMATION = (
-    0.03  # of the information of a stroke in its best direction, that counts in another; chosen
-)
+# Of the information of a stroke in its best direction, that counts in another; chosen.
+LEAST_INFORMATION = 0.03
 # Bound of a standardised distance, mean of its square for normal errors; chosen, and by integration.
 BOUND, BOUNDED_MEAN = 2.0, 0.9205
 RATE, RANGE = 0.05, (0.2, 5.0)  # change of the log factor by a stroke, limits of the factor; chosen
@@ -159,12 +143,6 @@ def scatter_after(factor: float, fit: StrokeFit, predicted: Estimate, bounds: Bo
 
     In each direction that the stroke informs about, the square of its standardised distance from what
     was predicted has a mean of one; that of one bounded by ±2, which outliers hardly move, of 0.92.
-
-    Args:
-        factor: before it.
-        fit: of the stroke, with the scatter of that factor.
-        predicted: from the strokes before.
-        bounds: of the channel.
     """
     free, scales = np.ix_(bounds.allowed, bounds.allowed), bounds.scatter[bounds.allowed]
     values, directions = np.linalg.eigh(fit.information[free] * np.outer(scales, scales))

@@ -14,10 +14,7 @@ from hitchid.live.parameters import Changes
 LEARNED, REFUSED, FAULT, CANDIDATE, DROPPED = "learned", "refused", "fault", "candidate", "dropped"
 PROMOTED, MOVED, ROLLED_BACK = "promoted", "moved", "rolled back"
 CHANGE_DETECTED, AT_LIMIT = "change detected", "at limit"
-KINDS = (
-    *(LEARNED, REFUSED, FAULT, CANDIDATE, DROPPED, PROMOTED, MOVED, ROLLED_BACK),
-    *(CHANGE_DETECTED, AT_LIMIT),
-)
+KINDS = (LEARNED, REFUSED, FAULT, CANDIDATE, DROPPED, PROMOTED, MOVED, ROLLED_BACK, CHANGE_DETECTED, AT_LIMIT)
 LONGEST_S, MOST_STROKES = 1e10, 10**9  # of a change log: three hundred years, a stroke every ten seconds
 # Kinds that are reported to the user at once.
 REPORTED = (PROMOTED, ROLLED_BACK, CHANGE_DETECTED, AT_LIMIT, FAULT)
@@ -66,19 +63,17 @@ class Event:
     @property
     def sentence(self) -> str:
         """The entry in words."""
-        changed = (
-            f"gain {100 * math.expm1(self.changes.gain):+.2g} %, dead zone {self.changes.dead_zone:+.3g}"
-        )
+        gain = 100 * math.expm1(self.changes.gain)
+        changed = f"gain {gain:+.2g} %, dead zone {self.changes.dead_zone:+.3g}"
         shown = f" ({changed})" if self.kind in (PROMOTED, ROLLED_BACK, MOVED, AT_LIMIT) else ""
         reason = f": {self.reason}" if self.reason else ""
         return f"{self.direction} {self.kind}{shown}{reason}".lstrip()
 
     def to_json(self) -> str:
         """Return the entry as one line of JSON; its numbers are read back bit for bit."""
-        content = {each.name: getattr(self, each.name) for each in fields(self)}
-        return json.dumps(
-            {**content, "changes": self.changes._asdict(), "figures": dict(self.figures)}, allow_nan=False
-        )
+        content = {own.name: getattr(self, own.name) for own in fields(self)}
+        content |= {"changes": self.changes._asdict(), "figures": dict(self.figures)}
+        return json.dumps(content, allow_nan=False)
 
     @classmethod
     def from_json(cls, line: str | bytes) -> "Event":
@@ -97,10 +92,5 @@ _ENTRY = TypeAdapter(Event)
 
 
 def last_sample(events: Sequence[Event], step_s: float) -> int:
-    """Return the number of the sample at which a change log ends; 0 of an empty one.
-
-    Args:
-        events: of the change log.
-        step_s: sampling time, s.
-    """
+    """Return the number of the sample at which a change log ends; 0 of an empty one."""
     return round(max((event.time_s for event in events), default=0.0) / step_s)

@@ -145,7 +145,9 @@ class Gate:
         if moved > max(NOISE_LIMIT * noise / np.sqrt(half), self.least_rest):
             yield f"it does not start at rest: {moved:.3g} in {len(rest)} samples before the command"
         displacement = stroke.displacement[measured]
-        outside = _farthest_outside(displacement)
+        # No motion puts a sample outside of both its neighbours; a spike does.
+        inner, neighbours = displacement[1:-1], np.sort([displacement[:-2], displacement[2:]], axis=0)
+        outside = float(np.abs(inner - np.clip(inner, *neighbours)).max(initial=0.0))
         limit = max(NOISE_LIMIT * np.sqrt(2) * max(noise, _noise(displacement)), self.least_rest)
         if outside > limit:
             yield f"a sample lies {outside:.3g} outside of both its neighbours"
@@ -157,17 +159,17 @@ class Gate:
         largest = float(np.abs(effective_command(command, self.channel.dead_zone)).max())
         if largest > (1 + COMMAND_MARGIN) * highest:
             yield f"the command is outside the identified range: {largest:.3g} beyond the dead zone"
-        limits = channel_limits(self.channel)
-        if displacement.min() < limits[0] or displacement.max() > limits[1]:
-            yield f"it leaves the range of the logs, {limits[0]:.4g} to {limits[1]:.4g}"
+        if (limits := self.channel.limits) is not None:
+            # Beyond a stop there is no motion to learn from, only the error of its place.
+            margin = STOP_MARGIN * (limits.upper - limits.lower)
+            lowest, highest = limits.lower - margin, limits.upper + margin
+            if displacement.min() < lowest or displacement.max() > highest:
+                yield f"it leaves the range of the logs, {lowest:.4g} to {highest:.4g}"
 
     def misfit(self, runs: StrokeRuns, own: int, usual: float) -> str:
         """Return why a stroke is no motion of this plant, whatever its gain and dead zone; empty where it is.
 
-        Args:
-            runs: free runs of the stroke, with those of its own gain and dead zone.
-            own: number of that run.
-            usual: share of the travel that is usually left as error.
+        Run number `own` has those of the stroke; `usual` is the share of the travel usually left as error.
         """
         return next(self._misfits(runs, own, usual), "")
 
@@ -188,39 +190,16 @@ class Gate:
         limit = SPEED_LIMIT * np.abs(expected).max() + NOISE_LIMIT * np.sqrt(2) * noise
         if np.abs(steps - expected).max() > limit:
             yield f"the displacement jumps by {np.abs(steps - expected).max():.3g} within a sample"
-        yield from self._standstill(measured, simulated, noise, runs.step_s)
+        # A stuck sensor or an end stop: no motion over a while in which the model moves.
+        width = max(2, round(STANDSTILL_S / runs.step_s))
+        modelled = np.abs(simulated[width:] - simulated[:-width])
+        seen = np.abs(measured[width:] - measured[:-width])
+        if np.any((modelled > 2 * NOISE_LIMIT * noise) & (seen < STANDSTILL_SHARE * modelled)):
+            yield "the displacement stands still while the model moves"
         left = runs.share_left(own)
         limit = min(MISFIT_FACTOR * usual, LARGEST_MISFIT)
         if left > np.hypot(limit, 2 * noise / max(float(np.ptp(simulated)), noise)):
             yield f"{100 * left:.2g} % of the travel are left as error after gain and dead zone are fitted"
-
-    def _standstill(
-        self,
-        measured: Float[np.ndarray, " n"],
-        simulated: Float[np.ndarray, " n"],
-        noise: float,
-        step_s: float,
-    ) -> Iterator[str]:
-        """Stuck sensor or end stop: no motion over a while in which the model moves."""
-        width = max(2, round(STANDSTILL_S / step_s))
-        if len(measured) <= width:
-            return
-        expected = np.abs(simulated[width:] - simulated[:-width])
-        seen = np.abs(measured[width:] - measured[:-width])
-        stands = (expected > 2 * NOISE_LIMIT * noise) & (seen < STANDSTILL_SHARE * expected)
-        if stands.any():
-            yield "the displacement stands still while the model moves"
-
-
-def _farthest_outside(displacement: Float[np.ndarray, " n"]) -> float:
-    """Return how far a sample lies outside of both its neighbours at most: no motion does that, a spike does.
-
-    Args:
-        displacement: measured, without gaps, shape [N].
-    """
-    inner = displacement[1:-1]
-    between = np.clip(inner, *np.sort([displacement[:-2], displacement[2:]], axis=0))
-    return float(np.abs(inner - between).max(initial=0.0))
 
 
 def _noise(displacement: Float[np.ndarray, " n"]) -> float:
@@ -228,17 +207,6 @@ def _noise(displacement: Float[np.ndarray, " n"]) -> float:
     second = np.abs(np.diff(displacement, 2))
     # A second difference of white noise has the variance 1 + 4 + 1 of it; the median keeps spikes out.
     return float(np.median(second)) / (MEDIAN_OF_NORMAL * np.sqrt(6)) if second.size else 0.0
-
-
-def channel_limits(channel: Channel) -> tuple[float, float]:
-    """Return lowest and highest displacement at which strokes are learned from, a margin beyond stops.
-
-    Beyond a stop that was met there is no motion that could be learned from, only the error of its place.
-    """
-    if channel.limits is None:
-        return -np.inf, np.inf
-    margin = STOP_MARGIN * (channel.limits.upper - channel.limits.lower)
-    return channel.limits.lower - margin, channel.limits.upper + margin
 
 
 # Standstill between two strokes: a jump of the displacement is a fault, a slow change a leak.
@@ -272,18 +240,11 @@ class Standstill(NamedTuple):
         return {"leak": self.change / self.seconds, "leak_deviation": self.deviation / self.seconds}
 
     def fault(self, model: Hitch) -> str:
-        """Return why the displacement cannot be that of a piston at rest; empty where it can.
-
-        Args:
-            model: as identified, whose held piston moves by `drift`.
-        """
+        """Return why the displacement is not that of a held piston, which drifts; empty where it is."""
         largest = LARGEST_AT_REST * _range_of_tests(model) * (1 + LARGEST_CREEP * self.seconds)
         moved = self.change_at_end - model.drift * self.seconds
-        return (
-            f"the displacement changed by {moved:+.3g} at rest: sensor or implement"
-            if abs(moved) > largest
-            else ""
-        )
+        reason = f"the displacement changed by {moved:+.3g} at rest: sensor or implement"
+        return reason if abs(moved) > largest else ""
 
 
 def rested_at(stroke: Stroke, step_s: float) -> float:
@@ -298,11 +259,7 @@ def rested_at(stroke: Stroke, step_s: float) -> float:
 def standstill_before(model: Hitch, stroke: Stroke, ended_at: int, rested: float) -> Standstill | None:
     """Return the standstill before a stroke; None where it was not seen.
 
-    Args:
-        model: as identified.
-        stroke: after it.
-        ended_at: number of the sample at which the stroke before ended.
-        rested: displacement there; NaN where it is not known.
+    The stroke before ended at the sample of number `ended_at`, where the piston `rested`; NaN: not known.
     """
     before = stroke.displacement[: stroke.rest]
     before = before[np.isfinite(before)]
@@ -326,5 +283,5 @@ def _samples(step_s: float) -> int:
 
 
 def _range_of_tests(model: Hitch) -> float:
-    ranges = [each.operating_range.displacement for each in model.channels.values()]
-    return max(float(each.highest) - float(each.lowest) for each in ranges)
+    ranges = [channel.operating_range.displacement for channel in model.channels.values()]
+    return max(float(covered.highest) - float(covered.lowest) for covered in ranges)

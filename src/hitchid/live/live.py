@@ -45,7 +45,20 @@ class RangeCheck:
     """
 
     def __init__(self, model: Hitch) -> None:
-        self._covered = {direction: _covered(model, direction) for direction in model.channels}
+        self._covered = {}
+        for direction, channel in model.channels.items():
+            covered = channel.operating_range
+            command, displacement = (
+                (float(signal.lowest), float(signal.highest))
+                for signal in (covered.command, covered.displacement)
+            )
+            # As the command that it is said of, not beyond the dead zone as it is kept.
+            ends = " to ".join(f"{channel.dead_zone + end:.4g}" for end in command)
+            texts = {
+                "command": f"{ends} {model.units.get(COMMAND[direction], '')}",
+                DISPLACEMENT: model.describe_range(direction, DISPLACEMENT),
+            }
+            self._covered[direction] = _Covered(channel.dead_zone, command, displacement, texts)
 
     def flags(self, sample: Mapping[str, float], mode: int) -> list[str]:
         """Return a sentence for each command outside its range, and for a displacement outside all of them.
@@ -66,21 +79,6 @@ class RangeCheck:
         if math.isfinite(measured) and not any(low <= measured <= high for low, high in ranges):
             outside.append((DISPLACEMENT, self._covered[directions[0]].texts[DISPLACEMENT]))
         return [f"outside: {role} {sample[role]:g}; the identified range is {text}" for role, text in outside]
-
-
-def _covered(model: Hitch, direction: str) -> _Covered:
-    channel = model.channels[direction]
-    command, displacement = (
-        (float(signal_range.lowest), float(signal_range.highest))
-        for signal_range in (channel.operating_range.command, channel.operating_range.displacement)
-    )
-    # As the command that it is said of, not beyond the dead zone as it is kept.
-    ends = " to ".join(f"{channel.dead_zone + end:.4g}" for end in command)
-    texts = {
-        "command": f"{ends} {model.units.get(COMMAND[direction], '')}",
-        DISPLACEMENT: model.describe_range(direction, DISPLACEMENT),
-    }
-    return _Covered(channel.dead_zone, command, displacement, texts)
 
 
 TIME = "time_s"
@@ -194,7 +192,8 @@ class Live:
         time_s = stamp if stamped else self._next_sample_s
         if self._origin_s is None or (stamped and before_s == -math.inf):
             self._set_clock(time_s)
-        offset = _round_samples((time_s - self._next_sample_s) / self._model.step_s)
+        offset = (time_s - self._next_sample_s) / self._model.step_s
+        offset = round(min(max(offset, -1e15), 1e15))  # limited, so that infinities can be rounded
         usual_s = self._usual_s(stamp)
         doubtful = stamped and self._is_doubtful(stamp, offset, usual_s)
         if doubtful and not self._is_agreed(stamp):
@@ -236,8 +235,17 @@ class Live:
     def learn(self) -> None:
         """Learn from the latest sample; what changes by it takes effect, and is a flag, with the next one."""
         unlearned, self._unlearned = self._unlearned, []
+        if self._adaptation is None:
+            return
         for sample in unlearned:
-            self._adapt(sample)
+            commands = np.array([[sample.get(COMMAND[direction], math.nan) for direction in DIRECTIONS]])
+            events = self._adaptation.feed(commands, np.array([sample.get(DISPLACEMENT, math.nan)]))
+            numbers = self._adaptation.numbers
+            if numbers is not self._numbers:
+                self._numbers = numbers
+                if self._state is not None:
+                    self._state = self._with_numbers(self._state)
+            self._learned += [event.sentence for event in events if event.kind in REPORTED]
 
     def rehearse(self) -> None:
         """Compute the latest sample once more, without effect.
@@ -349,19 +357,6 @@ class Live:
         state, displacement = self._stepped.step(state, commands, sample.get(DISPLACEMENT, math.nan))
         return state, float(displacement)
 
-    def _adapt(self, sample: Sample) -> None:
-        """Learn from a sample; keep a sentence for each change that takes effect after it."""
-        if self._adaptation is None:
-            return
-        commands = np.array([[sample.get(COMMAND[direction], math.nan) for direction in DIRECTIONS]])
-        events = self._adaptation.feed(commands, np.array([sample.get(DISPLACEMENT, math.nan)]))
-        numbers = self._adaptation.numbers
-        if numbers is not self._numbers:
-            self._numbers = numbers
-            if self._state is not None:
-                self._state = self._with_numbers(self._state)
-        self._learned += [event.sentence for event in events if event.kind in REPORTED]
-
     def _input_flags(self, state: Packed, sample: Sample) -> list[str]:
         roles = [COMMAND[direction] for direction in self._model.channels]
         missing = [role for role in roles if not math.isfinite(sample.get(role, math.nan))]
@@ -407,8 +402,3 @@ def _finite(value: int | float) -> float:
         return float(value)
     except OverflowError:
         return math.inf
-
-
-def _round_samples(samples: float) -> int:
-    """Return a whole number of samples, limited to ±1e15 so that infinities can be rounded."""
-    return round(min(max(samples, -1e15), 1e15))

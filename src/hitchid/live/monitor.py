@@ -130,27 +130,21 @@ class Monitor:
         self._state, ahead = _ahead(
             self._dynamics, self._state, jnp.asarray(commands), jnp.asarray(measured), self.horizon
         )
-        half_width = self._ahead_half_width(float(ahead), measured)
-        return Predictions(rows[0], self._half_width(rows), float(ahead), half_width)
-
-    def _half_width(self, rows: Float[np.ndarray, "a b"]) -> Float[np.ndarray, " b"]:
-        if not self._bands:
-            return np.full(self.block, np.nan)
-        return ensemble_half_width(self._members, self._bands, rows[1:] - rows[0], self._coverage)
-
-    def _ahead_half_width(self, ahead: float, measured: np.ndarray) -> float:
-        valid = measured[np.isfinite(measured)]
-        if not self._bands or not valid.size:
-            return np.nan
-        bands = self._bands[max(int(self._state.mode), 0)]
-        return float(bands.half_width(self._coverage, self.horizon, np.asarray(ahead - valid[-1])))
+        half_width, ahead_half_width = np.full(self.block, np.nan), np.nan
+        if self._bands:
+            half_width = ensemble_half_width(self._members, self._bands, rows[1:] - rows[0], self._coverage)
+            valid = measured[np.isfinite(measured)]
+            if valid.size:
+                bands, moved = self._bands[max(int(self._state.mode), 0)], float(ahead) - valid[-1]
+                ahead_half_width = float(bands.half_width(self._coverage, self.horizon, np.asarray(moved)))
+        return Predictions(rows[0], half_width, float(ahead), ahead_half_width)
 
 
 def _grouped(dynamics: Sequence[HitchDynamics]) -> list[tuple[list[int], HitchDynamics]]:
     """Return the hitches stacked in groups of one structure, with their numbers."""
     groups: dict[object, list[int]] = {}
-    for number, each in enumerate(dynamics):
-        groups.setdefault(jax.tree.structure(each), []).append(number)
+    for number, own in enumerate(dynamics):
+        groups.setdefault(jax.tree.structure(own), []).append(number)
     return [
         (indices, jax.tree.map(lambda *leaves: np.stack(leaves), *(dynamics[number] for number in indices)))
         for indices in groups.values()

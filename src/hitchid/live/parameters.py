@@ -17,7 +17,6 @@ from hitchid._support.jax_setup import double_precision
 from hitchid._support.records import short_repr
 from hitchid.errors import InputError
 from hitchid.model import Channel
-from hitchid.model.bands import Bands, EnsembleMember
 from hitchid.model.dynamics import HitchDynamics
 from hitchid.model.estimates import Uncertainty
 from hitchid.model.hitch import Hitch
@@ -168,11 +167,12 @@ def changed_model(
         factor = factors.get(direction, 1.0)
         if change == Changes() and factor == 1.0:
             continue
-        channels[direction] = _changed_channel(channels[direction], change)
+        channel = model.channels[direction]
+        benchmark = changed_benchmark(channel.benchmark, jnp.asarray(change, float))
+        dead_zone = channel.dead_zone + change.dead_zone
+        channels[direction] = replace(channel, dead_zone=dead_zone, benchmark=benchmark)
         if direction in uncertainty:
-            uncertainty[direction] = _changed_uncertainty(
-                uncertainty[direction], model.channels[direction], change, factor
-            )
+            uncertainty[direction] = _changed_uncertainty(uncertainty[direction], channel, change, factor)
         rivals.pop(direction, None)
         adapted[direction] = {**change._asdict(), "band_factor": factor}
     return replace(
@@ -181,14 +181,6 @@ def changed_model(
         uncertainty=uncertainty,
         rivals=rivals,
         provenance=replace(model.provenance, adapted=adapted, digest=""),
-    )
-
-
-def _changed_channel(channel: Channel, changes: Changes) -> Channel:
-    return replace(
-        channel,
-        dead_zone=channel.dead_zone + changes.dead_zone,
-        benchmark=changed_benchmark(channel.benchmark, jnp.asarray(changes, float)),
     )
 
 
@@ -201,25 +193,17 @@ def _changed_uncertainty(
     lag_name = "spool_lag" if lag is None else benchmark.structure.parameters[lag].name
     for number, name in ((GAIN, benchmark.structure.gain), (LAG, lag_name)):
         estimates = estimates.scaled(name, float(np.exp(changes[number])))
-    bands = uncertainty.bands
-    changed = None if bands is None else _changed_bands(bands, channel, changes, band_factor)
-    return Uncertainty(estimates, changed, load_scatter=uncertainty.load_scatter)
-
-
-def _changed_bands(bands: Bands, channel: Channel, changes: Changes, factor: float) -> Bands:
-    predictions = bands.predictions
-    return replace(
-        bands,
-        ensemble=tuple(_changed_member(member, channel, changes) for member in bands.ensemble),
-        free_run=tuple(factor * multiplier for multiplier in bands.free_run),
-        predictions=replace(
-            predictions,
-            multipliers=tuple(tuple(factor * each for each in row) for row in predictions.multipliers),
-        ),
-    )
-
-
-def _changed_member(member: EnsembleMember, channel: Channel, changes: Changes) -> EnsembleMember:
-    perturbed = channel.benchmark.with_parameter_vector(jnp.asarray(member.benchmark))
-    row = changed_benchmark(perturbed, jnp.asarray(changes, float)).parameter_vector
-    return replace(member, benchmark=tuple(map(float, row)))
+    bands, ensemble = uncertainty.bands, []
+    if bands is not None:
+        for member in bands.ensemble:
+            perturbed = benchmark.with_parameter_vector(jnp.asarray(member.benchmark))
+            row = changed_benchmark(perturbed, jnp.asarray(changes, float)).parameter_vector
+            ensemble.append(replace(member, benchmark=tuple(map(float, row))))
+        multipliers = tuple(tuple(band_factor * own for own in row) for row in bands.predictions.multipliers)
+        bands = replace(
+            bands,
+            ensemble=tuple(ensemble),
+            free_run=tuple(band_factor * multiplier for multiplier in bands.free_run),
+            predictions=replace(bands.predictions, multipliers=multipliers),
+        )
+    return Uncertainty(estimates, bands, load_scatter=uncertainty.load_scatter)

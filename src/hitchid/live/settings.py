@@ -42,11 +42,8 @@ class ChangeDetector(NamedTuple):
     def advance(self, error: float) -> "ChangeDetector":
         """Return the sums after one more stroke, `error` being z."""
         bounded = float(np.clip(error, -LARGEST, LARGEST))
-        faster, slower = (
-            max(0.0, self.faster + bounded - REFERENCE),
-            max(0.0, self.slower - bounded - REFERENCE),
-        )
-        return ChangeDetector(faster, slower)
+        faster = max(0.0, self.faster + bounded - REFERENCE)
+        return ChangeDetector(faster, max(0.0, self.slower - bounded - REFERENCE))
 
     @property
     def sum(self) -> float:

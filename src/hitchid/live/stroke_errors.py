@@ -89,7 +89,10 @@ class StrokeErrors:
         self._step_s = self._factor * step_s
         self._column = DIRECTIONS.index(channel.direction)
         self._bands = bands
-        self._members = None if bands is None else _stacked_members(channel, bands)
+        self._members = None
+        if bands is not None:  # the perturbed channels as one, whose arrays have them along the first axis
+            members = [perturbed_channel(channel, member) for member in bands.ensemble]
+            self._members = jax.tree.map(lambda *leaves: jnp.stack(leaves), *members)
 
     def batch(self, strokes: Sequence[Stroke]) -> Batch:
         """Return strokes as a batch of as many tests as `window`; those that are missing have no weight."""
@@ -141,13 +144,7 @@ class StrokeErrors:
     def half_width(
         self, stroke: Stroke, changes: Changes, coverage: float
     ) -> Callable[[float], Float[np.ndarray, " n"]] | None:
-        """Return the function from a factor to the half width of the band of a free run; None without bands.
-
-        Args:
-            stroke: whose free run it is.
-            changes: of the parameters.
-            coverage: share of samples within the band.
-        """
+        """Return the half width of the band of a free run over a factor on it; None without bands."""
         if self._bands is None or self._members is None:
             return None
         batch = self.batch([stroke]).take([0])
@@ -163,9 +160,8 @@ class StrokeErrors:
         command = np.nan_to_num(stroke.commands[:, self._column])
         kept = command[: SAMPLES * self._factor]
         blocks = -(-len(kept) // self._factor)
-        mean = (
-            np.pad(kept, (0, blocks * self._factor - len(kept)), mode="edge").reshape(blocks, -1).mean(axis=1)
-        )
+        whole = np.pad(kept, (0, blocks * self._factor - len(kept)), mode="edge")
+        mean = whole.reshape(blocks, -1).mean(axis=1)
         displacement = stroke.displacement[: len(kept) : self._factor]
         measured = np.isfinite(displacement) & self._before_stop(displacement)
         initial = float(np.nanmean(stroke.displacement[: stroke.rest + 1]))
@@ -231,13 +227,8 @@ class StrokeRuns(NamedTuple):
     def fit(self, number: int) -> StrokeFit:
         """Return the errors of one run, with the slopes of the first."""
         travel = float(np.ptp(self.displacement[0][self.measured]))
-        return StrokeFit(
-            self.changes[number],
-            float(self.squares[number]),
-            self.gradients[number],
-            self.information,
-            travel,
-        )
+        squares, gradient = float(self.squares[number]), self.gradients[number]
+        return StrokeFit(self.changes[number], squares, gradient, self.information, travel)
 
 
 def stop_ahead(channel: Channel) -> float | None:
@@ -250,12 +241,6 @@ def stop_ahead(channel: Channel) -> float | None:
     if channel.sign > 0:
         return limits.upper if limits.upper_stop else None
     return limits.lower if limits.lower_stop else None
-
-
-def _stacked_members(channel: Channel, bands: Bands) -> Channel:
-    """Return the perturbed channels of an ensemble as one, whose arrays have them along the first axis."""
-    members = [perturbed_channel(channel, member) for member in bands.ensemble]
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *members)
 
 
 def _simulated(channel: Channel, batch: Batch, changes: Float[Array, "3"]) -> Float[Array, "t n"]:

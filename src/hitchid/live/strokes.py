@@ -55,7 +55,11 @@ class StrokeCutter:
     """
 
     def __init__(self, model: Hitch, first: int = 0) -> None:
-        self._on = np.array([_least_command(model, direction) for direction in DIRECTIONS])
+        self._on = np.full(len(DIRECTIONS), np.inf)  # sizes of the commands above which the piston may move
+        for direction, channel in model.channels.items():
+            full_scale = channel.dead_zone + float(channel.operating_range.command.highest)
+            least = max(ON_FRACTION * channel.dead_zone, ACTIVE_FRACTION * full_scale)
+            self._on[DIRECTIONS.index(direction)] = least
         self._settle = max(1, round(SETTLE_S / model.step_s))
         self._longest = round(LONGEST_S / model.step_s)
         self._samples = first
@@ -72,11 +76,11 @@ class StrokeCutter:
         active = self._active(commands)
         rows = np.concatenate([commands, displacement[:, None]], axis=1)
         edges = [0, *(np.flatnonzero(active[1:] != active[:-1]) + 1).tolist(), len(active)]
-        found = []
+        ended = []
         for start, stop in pairwise(edges):
             if stop > start:
-                found += self._run(int(active[start]), rows[start:stop])
-        return found
+                ended += self._run(int(active[start]), rows[start:stop])
+        return ended
 
     def finish(self) -> list[Stroke]:
         """Return the stroke that is under way where the log ends, if there is one."""
@@ -93,16 +97,16 @@ class StrokeCutter:
 
     def _run(self, active: int, rows: np.ndarray) -> list[Stroke]:
         """Take samples of one active command, or of none; return the strokes that end."""
-        found = []
+        ended = []
         if self.moves and active == NONE:
             taken = min(self._settle - self._inactive, len(rows))
             self._append(rows[:taken])
             self._inactive += taken
             if self._inactive == self._settle:
-                found.append(self._close())
+                ended.append(self._close())
             rows = rows[taken:]
         elif self.moves and active != self._direction:
-            found.append(self._close())
+            ended.append(self._close())
         if not self.moves and active != NONE:
             self._rest = sum(map(len, self._rows))
             self._direction, self._begin, self._inactive = active, self._samples, 0
@@ -113,7 +117,7 @@ class StrokeCutter:
         elif len(rows):
             self._samples += len(rows)
             self._rows = [np.concatenate([*self._rows, rows[-REST_SAMPLES:]])[-REST_SAMPLES:]]
-        return found
+        return ended
 
     def _append(self, rows: np.ndarray) -> None:
         """Take samples of the stroke; those beyond the longest stroke are left out."""
@@ -131,12 +135,3 @@ class StrokeCutter:
         self._rows = [rows[len(rows) - settled :]]
         self._direction = NONE
         return Stroke(direction, self._begin, self._rest, rows[:, :2], rows[:, 2])
-
-
-def _least_command(model: Hitch, direction: str) -> float:
-    """Return the size of a command above which it may move the piston, in the model's unit."""
-    channel = model.channels.get(direction)
-    if channel is None:
-        return np.inf
-    full_scale = channel.dead_zone + float(channel.operating_range.command.highest)
-    return max(ON_FRACTION * channel.dead_zone, ACTIVE_FRACTION * full_scale)

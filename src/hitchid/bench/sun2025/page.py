@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hitchid.bench.sun2025.figures import PaperFigure
 from hitchid.bench.sun2025.results import DirectionResult, ErrorSummary, end_deviation, summary
 from hitchid.identification import ChannelTrace
 from hitchid.logs.record import LIFTING, LOWERING
@@ -13,6 +12,7 @@ from hitchid.report import (
     ChannelTraceFile,
     Document,
     Finding,
+    Picture,
     Pictures,
     Rating,
     ReportSection,
@@ -41,7 +41,7 @@ PREFACE = (
 
 def study_report(
     tables: Sequence[Table],
-    figures: Sequence[PaperFigure],
+    pictures: tuple[Picture, ...],
     results: Mapping[str, DirectionResult],
     result: Validation,
     *,
@@ -52,19 +52,18 @@ def study_report(
 
     Args:
         tables: Tables 2 to 4 of the paper and the figures in its text.
-        figures: Figures 5 to 12 of the paper.
+        pictures: Figures 5 to 12 of the paper.
         results: direction to predictions of both methods.
         result: of the validation of hitchid's default model.
         trace, command: as for `validation_report`.
     """
     data = result.report_data()
-    pictures = tuple(picture for figure in figures for picture in figure.pictures)
     section_builders = (accuracy_section, trust_section, parameters_section)
     return Document(
         title="The study of Sun et al. 2025, redone",
         subtitle="Lifting and lowering of an electro-hydraulic hitch on the virtual bench",
         verdict=(
-            *(_default_finding(direction, each, result.unit) for direction, each in results.items()),
+            *(_default_finding(direction, own, result.unit) for direction, own in results.items()),
             *verdict_section(result, None),
         ),
         notices=tuple(map(sentence, result.notices)),
@@ -82,19 +81,17 @@ def study_report(
 
 def _default_finding(direction: str, result: DirectionResult, unit: str) -> Finding:
     """Return the free run of the default beside that of the paper's method; good if significantly better."""
-    texts = {
-        model: numbers.with_error(figures.rmse, figures.rmse_error)
-        for model in ("free_run", "paper", "transfer_function")
-        for figures in (summary(result.test, model),)
-    }
+    texts = {}
+    for model in ("free_run", "paper", "transfer_function"):
+        figures = summary(result.test, model)
+        texts[model] = numbers.with_error(figures.rmse, figures.rmse_error)
     text = (
         f"{direction.capitalize()}, hitchid's default, free run: RMSE {texts['free_run']} {unit} on "
         f"{numbers.count(len(result.test.names), 'unseen test')}; the paper's method on its own predictions "
         f"{texts['paper']}, its transfer function {texts['transfer_function']}"
     )
-    if all(
-        result.test.is_significantly_better("free_run", model) for model in ("paper", "transfer_function")
-    ):
+    rivals = ("paper", "transfer_function")
+    if all(result.test.is_significantly_better("free_run", model) for model in rivals):
         return Finding(Rating.GOOD, f"{text}: significantly better than both.")
     return Finding(Rating.CAUTION, f"{text}: not significantly better than both.")
 
@@ -141,13 +138,7 @@ Traces = Mapping[str, ChannelTrace]
 def study_tables(
     default: Traces, paper: Traces, results: Mapping[str, DirectionResult], unit: str
 ) -> list[Table]:
-    """Return Tables 3, 4 and 2 of the paper, and tables of fitness, compensator, mechanics and sensitivity.
-
-    Args:
-        default, paper: direction to the trace of the default identification and of the paper's method.
-        results: direction to predictions of both.
-        unit: of the displacement.
-    """
+    """Return Tables 3, 4 and 2 of the paper, and those of fitness, compensator, mechanics, sensitivity."""
     return [
         *(_test_set(direction, result, unit) for direction, result in results.items()),
         _parameters(paper),
@@ -179,44 +170,27 @@ def _parameters(traces: Traces) -> Table:
     """Return the parameters of both transfer functions (paper, Table 2)."""
     rows = []
     for direction, trace in traces.items():
-        values = {estimate.name: estimate for estimate in trace.phase1.parameter_estimates}
-        rows += [
-            (
-                f"{direction}: {name.replace('_', ' ')}",
-                numbers.with_unit(_value_or_interval(estimate), estimate.unit),
-                _equivalent(direction, name),
-                estimate.verdict,
-            )
-            for name, estimate in values.items()
-        ]
-        rows += [
-            (
-                f"{direction}: {name}",
-                numbers.with_unit(value, unit),
-                f"{PAPER_COEFFICIENTS[direction][name]:.4g}",
-                "",
-            )
-            for name, (value, unit) in _coefficients(direction, trace).items()
-        ]
-    return Table(
-        "Table 2. Parameters of the transfer functions",
-        ("parameter", "here", "paper", "verdict"),
-        tuple(rows),
-    )
+        for estimate in trace.phase1.parameter_estimates:
+            value = numbers.with_unit(_value_or_interval(estimate), estimate.unit)
+            label = f"{direction}: {estimate.name.replace('_', ' ')}"
+            rows.append((label, value, _equivalent(direction, estimate.name), estimate.verdict))
+        for name, (value, unit) in _coefficients(direction, trace).items():
+            published = f"{PAPER_COEFFICIENTS[direction][name]:.4g}"
+            rows.append((f"{direction}: {name}", numbers.with_unit(value, unit), published, ""))
+    header = ("parameter", "here", "paper", "verdict")
+    return Table("Table 2. Parameters of the transfer functions", header, tuple(rows))
 
 
 def _coefficients(direction: str, trace: ChannelTrace) -> dict[str, tuple[str, str]]:
     """Return the paper's α and β for one direction, with the free common scale of lifting set by its β₃."""
     quantities = {quantity.name: quantity for quantity in trace.phase1.assessment.derived}
     if direction == LOWERING:
-        coefficients = {"alpha2": quantities["alpha2 = K"], "beta4": quantities["beta4 = tau"]}
-        return {
-            name: (_value_or_interval(quantity), quantity.unit) for name, quantity in coefficients.items()
-        }
-    beta3 = PAPER_COEFFICIENTS[LIFTING]["beta3"]
-    scaled = {name: quantities[f"{name} (beta3 = 1)"].scaled(beta3) for name in ("alpha1", "beta1", "beta2")}
-    texts = {name: (_value_or_interval(quantity), quantity.unit) for name, quantity in scaled.items()}
-    return {**texts, "beta3": (f"{beta3:.4g}", "as the paper has it")}
+        shown, fixed = {"alpha2": quantities["alpha2 = K"], "beta4": quantities["beta4 = tau"]}, {}
+    else:
+        beta3, names = PAPER_COEFFICIENTS[LIFTING]["beta3"], ("alpha1", "beta1", "beta2")
+        shown = {name: quantities[f"{name} (beta3 = 1)"].scaled(beta3) for name in names}
+        fixed = {"beta3": (f"{beta3:.4g}", "as the paper has it")}
+    return {name: (_value_or_interval(own), own.unit) for name, own in shown.items()} | fixed
 
 
 def _value_or_interval(estimate: Estimate | Quantity) -> str:
@@ -284,10 +258,12 @@ def _identification(
         traces, methods = (default[direction], paper[direction]), (result.default, result.paper)
         published = PAPER_COMPENSATOR[direction]
         phase1 = [f"{trace.phase1.rmse:.3f}" for trace in traces]
-        iterations = [str(_iterations_to_converge(trace)) for trace in traces]
+        fitness = [trace.phase1.fit.search_result.fitness_trace for trace in traces]
+        iterations = [str(int(np.flatnonzero(own <= 1.01 * own[-1])[0]) + 1) for own in fitness]
+        most = "at most 15" if direction == LIFTING else "at most 10"
         rows += [
             (f"{direction}: phase 1, RMSE", *phase1, f"{PAPER_FITNESS[direction]:.3f}"),
-            (f"{direction}: iterations to within 1 % of the end", *iterations, _paper_iterations(direction)),
+            (f"{direction}: iterations to within 1 % of the end", *iterations, most),
         ]
         for subset in ("training", "validation"):
             figures = [summary(getattr(method, subset), "one_step") for method in methods]
@@ -296,24 +272,10 @@ def _identification(
             rows.append((f"{name}, RMSE", *(f"{figure.rmse:.3f}" for figure in figures), f"{rmse:.3f}"))
             rows.append((f"{name}, MAE", *(f"{figure.mae:.3f}" for figure in figures), f"{mae:.3f}"))
         quantiles = [np.quantile(np.abs(method.validation.errors("one_step")), 0.95) for method in methods]
-        rows.append(
-            (
-                f"{direction}: 95 % of errors below",
-                *(f"{quantile:.3f}" for quantile in quantiles),
-                f"{published['p95']:.2f}",
-            )
-        )
+        cells = (*(f"{quantile:.3f}" for quantile in quantiles), f"{published['p95']:.2f}")
+        rows.append((f"{direction}: 95 % of errors below", *cells))
     header = ("figure", "hitchid's default", "paper's method, here", "paper")
     return Table(f"Identification, errors in {unit}", header, tuple(rows))
-
-
-def _iterations_to_converge(trace: ChannelTrace) -> int:
-    fitness = trace.phase1.fit.search_result.fitness_trace
-    return int(np.flatnonzero(fitness <= 1.01 * fitness[-1])[0]) + 1
-
-
-def _paper_iterations(direction: str) -> str:
-    return "at most 15" if direction == LIFTING else "at most 10"
 
 
 def _mechanistic(traces: Traces, results: Mapping[str, DirectionResult], unit: str) -> Table:
@@ -326,32 +288,16 @@ def _mechanistic(traces: Traces, results: Mapping[str, DirectionResult], unit: s
         rows.append(
             (f"{direction}: dead zone / A", f"{dead_zone:.4g}", f"{trace.dead_zone.value:.4g}", "", "")
         )
-        rows += [
-            (
-                f"{direction}: {name.replace('_', ' ')} / {units[name]}",
-                f"{value:.4g}",
-                f"{fitted[name]:.4g}" if name in fitted else "",
-                "",
-                "",
-            )
-            for name, value in physical_model.named_values().items()
-        ]
-        end_errors = [
-            f"{100 * end_deviation(test, model):.1f}"
-            for model in ("mechanistic", "transfer_function", "free_run")
-        ]
-        rows.append(
-            (
-                f"{direction}: error at the end of a test / % of the travel",
-                *end_errors,
-                PAPER_MECHANISTIC[direction],
-            )
-        )
-    return Table(
-        "Mechanistic model from data sheets, nothing fitted",
-        ("figure", "data sheets", "paper's transfer function", "hitchid's default", "paper's ref. 9"),
-        tuple(rows),
-    )
+        for name, value in physical_model.named_values().items():
+            estimate = f"{fitted[name]:.4g}" if name in fitted else ""
+            label = f"{direction}: {name.replace('_', ' ')} / {units[name]}"
+            rows.append((label, f"{value:.4g}", estimate, "", ""))
+        models = ("mechanistic", "transfer_function", "free_run")
+        ends = [f"{100 * end_deviation(test, model):.1f}" for model in models]
+        label = f"{direction}: error at the end of a test / % of the travel"
+        rows.append((label, *ends, PAPER_MECHANISTIC[direction]))
+    header = ("figure", "data sheets", "paper's transfer function", "hitchid's default", "paper's ref. 9")
+    return Table("Mechanistic model from data sheets, nothing fitted", header, tuple(rows))
 
 
 def _sensitivity(traces: Traces, models: str) -> Table:

@@ -3,25 +3,151 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 from hitchid._support.files import write_files, write_folder
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent, subtask_progress
 from hitchid._support.records import short_repr
-from hitchid.bench.sun2025.figures import PaperFigure, paper_figures
 from hitchid.bench.sun2025.page import study_report, study_tables, study_tables_document
-from hitchid.bench.sun2025.results import DirectionResult, direction_result, mechanistic
+from hitchid.bench.sun2025.results import DirectionResult, Subsets, direction_result, mechanistic
 from hitchid.bench.virtual_campaign import REPEATS, Protocol, write_campaign
 from hitchid.estimation.whale import WhaleConfig
 from hitchid.identification import AdamConfig, AutoStructure, CompensatorConfig, Identification, Search, Whale
 from hitchid.identification.identify import DEFAULT_STRUCTURES, PAPER_SPECS, TRAINING, WHALE, identify
 from hitchid.logs import read
-from hitchid.report import FIGURES, Table, read_trace, render, write_report_files
+from hitchid.logs.record import LIFTING, LOWERING
+from hitchid.model.trace import TracedSearch
+from hitchid.report import (
+    FIGURES,
+    ChannelTraceFile,
+    Picture,
+    Table,
+    figure_data,
+    figures,
+    read_trace,
+    render,
+    write_report_files,
+)
+from hitchid.report.figures.errors import MAX_SAMPLES
 from hitchid.structures import ModelSpec
-from hitchid.validation import Validation
+from hitchid.validation import Predictions, Validation
 from hitchid.validation.validate import validate
 
 LOGS, MODEL, PAPER_MODEL, DATA = "logs", "model", "paper-model", "data"
 STUDY_FILE = "study.md"
+
+
+# Numbers of the figures in the paper, by direction.
+CONVERGENCE = {LIFTING: 5, LOWERING: 6}
+PREDICTED = {LIFTING: 7, LOWERING: 8}
+DISTRIBUTION = {LIFTING: 9, LOWERING: 10}
+TEST = {LIFTING: 11, LOWERING: 12}
+PAPER, DEFAULT = "the paper's method", "hitchid's default"
+MODELS = ("mechanistic", "transfer_function", "paper_one_step", "paper", "one_step", "free_run")
+DRAWN = ("transfer_function", "paper", "free_run", "one_step")
+
+
+class PaperFigure(NamedTuple):
+    """A reproduced figure of the paper: its number there and its pictures with their data."""
+
+    number: int
+    pictures: tuple[Picture, ...]
+
+
+def paper_figures(
+    direction: str, default: ChannelTraceFile, paper: ChannelTraceFile, result: DirectionResult, unit: str
+) -> list[PaperFigure]:
+    """Return the four figures of one direction in the paper, each for both methods."""
+    return [
+        _convergence(direction, {PAPER: paper.phase1, DEFAULT: default.phase1}, unit),
+        _predicted_errors(direction, {PAPER: result.paper, DEFAULT: result.default}, unit),
+        _error_distribution(direction, result, unit),
+        _test_set(direction, result.test, unit),
+    ]
+
+
+def _convergence(direction: str, searches: Mapping[str, TracedSearch], unit: str) -> PaperFigure:
+    number = CONVERGENCE[direction]
+    pictures = []
+    for method, search in searches.items():
+        names = [parameter.name for parameter in search.parameters]
+        pictures.append(
+            Picture(
+                _name(number, method),
+                figures.convergence(search, unit),
+                f"Figure {number} of the paper: convergence of fitness and of each parameter, {direction}, "
+                f"{method}.",
+                f"Best RMSE and {', '.join(names)} over the iterations of the global search.",
+                data=figure_data.convergence(search, unit),
+            )
+        )
+    return PaperFigure(number, tuple(pictures))
+
+
+def _predicted_errors(direction: str, results: Mapping[str, Subsets], unit: str) -> PaperFigure:
+    number = PREDICTED[direction]
+    pictures = []
+    for method, result in results.items():
+        subsets = {"training": result.training, "validation": result.validation}
+        pictures.append(
+            Picture(
+                _name(number, method),
+                figures.predicted_errors(subsets, unit),
+                f"Figure {number} of the paper: error of the physics model, actual and predicted one step "
+                f"ahead, on training and validation tests, {direction}, {method}.",
+                f"Actual and predicted error in {unit} over {MAX_SAMPLES} samples.",
+                data=figure_data.predicted_errors(subsets, unit, MAX_SAMPLES),
+            )
+        )
+    return PaperFigure(number, tuple(pictures))
+
+
+def _error_distribution(direction: str, result: DirectionResult, unit: str) -> PaperFigure:
+    rows = {
+        f"{subset}, {method}": getattr(subsets, subset).errors("one_step")
+        for method, subsets in (("paper", result.paper), ("default", result.default))
+        for subset in ("training", "validation")
+    }
+    number = DISTRIBUTION[direction]
+    picture = Picture(
+        _name(number),
+        figures.error_distribution(rows, unit),
+        f"Figure {number} of the paper: one-step errors of both methods on training and validation tests, "
+        f"histogram with fitted normal and cumulative distribution, {direction}.",
+        f"Distribution of one-step errors in {unit}.",
+        data=figure_data.errors(rows, unit),
+    )
+    return PaperFigure(number, (picture,))
+
+
+def _test_set(direction: str, test: Predictions, unit: str) -> PaperFigure:
+    number = TEST[direction]
+    errors = {model: test.errors(model) for model in DRAWN}
+    pictures = (
+        Picture(
+            _name(number),
+            figures.outputs(test, unit, DRAWN),
+            f"Figure {number} of the paper, upper half: outputs and errors on the test set, {direction}.",
+            f"Displacement and error over time on {len(test.names)} unseen tests.",
+            data=figure_data.outputs(test, unit, MODELS),
+        ),
+        Picture(
+            f"{_name(number)}-errors",
+            figures.error_distribution(errors, unit),
+            f"Figure {number} of the paper, lower half: histogram and cumulative distribution of the errors "
+            f"on the test set, {direction}.",
+            f"Distribution of the errors in {unit} on {len(test.names)} unseen tests.",
+            data=figure_data.errors(errors, unit),
+        ),
+    )
+    return PaperFigure(number, pictures)
+
+
+def _name(number: int, method: str = PAPER) -> str:
+    return f"figure-{number:02d}" + ("-default" if method == DEFAULT else "")
+
+
+# The whole study.
 
 
 @dataclass(frozen=True)
@@ -101,73 +227,66 @@ def reproduce(
         OutputError: the folder exists and `force` is not given, or it cannot be written.
         SettingsError: the rig's parameters are invalid.
     """
-    chosen_plan = plan or Plan()
-    report = progress or silent
     studies: list[Study] = []
 
     def fill(folder: Path) -> None:
-        report(ProgressUpdate("virtual bench", 0.0))
-        tests: Mapping[Protocol, int] = {
-            "ramp": REPEATS,
-            "prbs": chosen_plan.tests,
-            "cycle": chosen_plan.cycles,
-        }
-        write_campaign(folder / LOGS, rig, tests=tests, seed=seed)
-        campaign = read([folder / LOGS])
-        identification = identify(
-            campaign,
-            structure=chosen_plan.structure,
-            search=chosen_plan.search,
-            training=chosen_plan.training,
-            rivals=chosen_plan.rivals,
-            seed=seed,
-            progress=subtask_progress(report, 0.1, 0.5),
-        )
-        paper = identify(
-            campaign,
-            structure=PAPER_SPECS,
-            search=chosen_plan.search,
-            # As published: no compensator for free run; the baselines are in the default identification.
-            training=replace(chosen_plan.training, free_run=None),
-            rivals=None,
-            seed=seed,
-            progress=subtask_progress(report, 0.6, 0.15),
-        )
-        identification.save(folder / MODEL)
-        paper.save(folder / PAPER_MODEL)
-        report(ProgressUpdate("validation", 0.75))
-        validation = validate(identification.model, campaign)
-        report(ProgressUpdate("figures and tables", 0.9))
-        results = {
-            direction: direction_result(
-                identification, paper, campaign, direction, mechanistic(rig, direction)
-            )
-            for direction in identification.channels
-        }
-        unit = campaign.records[0].unit
-        trace, paper_trace = read_trace(identification.describe()), read_trace(paper.describe())
-        figures = [
-            figure
-            for direction, result in results.items()
-            for figure in paper_figures(direction, trace[direction], paper_trace[direction], result, unit)
-        ]
-        ordered = tuple(sorted(figures, key=lambda figure: figure.number))
-        summary = tuple(study_tables(identification.channels, paper.channels, results, unit))
-        studies.append(Study(identification, paper, results, validation, ordered, summary))
-        document = study_report(summary, ordered, results, validation, trace=trace, command=command)
-        write_report_files(document, folder, data_folder=DATA)
-        _write(folder, studies[0])
+        studies.append(_study(folder, rig, plan or Plan(), seed, progress or silent, command))
 
     write_folder(Path(out), fill, result_kind=STUDY_FILE, force=force)
     return studies[0]
 
 
-def _write(folder: Path, study: Study) -> None:
-    write_files(folder, study.validation.files())
-    text = render(study_tables_document(study.tables, study.validation), "markdown").decode()
-    pictures = [
-        f"## {picture.caption}\n\n![{picture.alt}]({FIGURES}/{picture.name}.svg)\n"
-        for figure in study.figures
-        for picture in figure.pictures
+def _study(
+    folder: Path, rig: str | Path, plan: Plan, seed: int, report: ProgressCallback, command: str
+) -> Study:
+    report(ProgressUpdate("virtual bench", 0.0))
+    tests: Mapping[Protocol, int] = {"ramp": REPEATS, "prbs": plan.tests, "cycle": plan.cycles}
+    write_campaign(folder / LOGS, rig, tests=tests, seed=seed)
+    campaign = read([folder / LOGS])
+    default = identify(
+        campaign,
+        structure=plan.structure,
+        search=plan.search,
+        training=plan.training,
+        rivals=plan.rivals,
+        seed=seed,
+        progress=subtask_progress(report, 0.1, 0.5),
+    )
+    paper = identify(
+        campaign,
+        structure=PAPER_SPECS,
+        search=plan.search,
+        # As published: no compensator for free run; the baselines are in the default identification.
+        training=replace(plan.training, free_run=None),
+        rivals=None,
+        seed=seed,
+        progress=subtask_progress(report, 0.6, 0.15),
+    )
+    default.save(folder / MODEL)
+    paper.save(folder / PAPER_MODEL)
+    report(ProgressUpdate("validation", 0.75))
+    validation = validate(default.model, campaign)
+    report(ProgressUpdate("figures and tables", 0.9))
+    results = {
+        direction: direction_result(default, paper, campaign, direction, mechanistic(rig, direction))
+        for direction in default.channels
+    }
+    unit = campaign.records[0].unit
+    trace, paper_trace = read_trace(default.describe()), read_trace(paper.describe())
+    unordered = [
+        figure
+        for direction, result in results.items()
+        for figure in paper_figures(direction, trace[direction], paper_trace[direction], result, unit)
     ]
-    (folder / STUDY_FILE).write_text("\n".join([text, *pictures]), encoding="utf-8")
+    ordered = tuple(sorted(unordered, key=lambda figure: figure.number))
+    tables = tuple(study_tables(default.channels, paper.channels, results, unit))
+    pictures = tuple(picture for figure in ordered for picture in figure.pictures)
+    document = study_report(tables, pictures, results, validation, trace=trace, command=command)
+    write_report_files(document, folder, data_folder=DATA)
+    write_files(folder, validation.files())
+    text = render(study_tables_document(tables, validation), "markdown").decode()
+    shown = [
+        f"## {picture.caption}\n\n![{picture.alt}]({FIGURES}/{picture.name}.svg)\n" for picture in pictures
+    ]
+    (folder / STUDY_FILE).write_text("\n".join([text, *shown]), encoding="utf-8")
+    return Study(default, paper, results, validation, ordered, tables)

@@ -127,12 +127,7 @@ def direction_result(
 ) -> DirectionResult:
     """Simulate one channel of both identified models on the training, validation and test data.
 
-    Args:
-        default: the model identified by default.
-        paper: the model identified by the paper's method.
-        campaign: the tests.
-        direction: lifting or lowering.
-        mechanistic: model from the rig's parameters, simulated on the same tests.
+    The mechanistic model, from the rig's parameters, is simulated on the same test data.
     """
     ours = _subsets(default, campaign, direction, closed_loop=False)
     theirs = _subsets(paper, campaign, direction, closed_loop=True)
@@ -157,16 +152,12 @@ def _subsets(identified: Identification, campaign: Campaign, direction: str, *, 
     channel = identified.model.channels[direction]
     validation_names = set(identified.model.provenance.validation[direction])
     identification = campaign.identification(direction)
-    return Subsets(
-        *(
-            _predictions(channel, records, closed_loop=closed_loop)
-            for records in (
-                [record for record in identification if record.name not in validation_names],
-                [record for record in identification if record.name in validation_names],
-                campaign.held_out(direction),
-            )
-        )
+    parts = (
+        [record for record in identification if record.name not in validation_names],
+        [record for record in identification if record.name in validation_names],
+        campaign.held_out(direction),
     )
+    return Subsets(*(_predictions(channel, records, closed_loop=closed_loop) for records in parts))
 
 
 @dataclass(frozen=True)
