@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import hitchid
-from hitchid._support.progress import parallel
+from hitchid._support.precision import parallel
 from hitchid.bench.virtual_campaign import Conditions, write_campaign
 from hitchid.identification import AutoStructure, MultiStart
 from hitchid.identification.selection import choose_spec

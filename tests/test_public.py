@@ -20,7 +20,7 @@ import hitchid
 from hitchid.bench.virtual_campaign import write_campaign
 from hitchid.control.next_test import ExcitationLimits, design
 from hitchid.model import save
-from hitchid.cli.simulate import simulate_log
+from hitchid.cli.simulated_log import simulate_log
 from hitchid.validation import compare
 
 folder, logs, out = map(Path, sys.argv[1:])

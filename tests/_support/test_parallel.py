@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from hitchid._support.progress import parallel
+from hitchid._support.precision import parallel
 from hitchid.errors import FitError
 
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid.errors import FitError
 from hitchid.identification import load_filter_fit
 from hitchid.identification.load_filter_fit import MAX_LOAD_SCATTER, fit_load_filter

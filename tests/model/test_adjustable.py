@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import handmade
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid.live import Changes, changed_model
 from hitchid.live.parameters import AdjustableHitch, numbers_of_models
 from hitchid.logs.record import LIFTING, LOWERING

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 import handmade
-from hitchid.cli.simulate import InitialValues, added_name, simulate_log
+from hitchid.cli.simulated_log import InitialValues, added_name, simulate_log
 from hitchid.control.next_test import Advice, Proposal, command_of, write_command
 from hitchid.errors import HitchError, InputError, OutputError
 from hitchid.logs import read

@@ -1,32 +1,13 @@
 """Progress of long work, reported by callbacks."""
 
-import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
 from threading import Lock
 from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
-from hitchid._support.jax_setup import double_precision
 from hitchid.errors import OutputError
 
-# Parallel execution of independent tasks on all cores.
-
-Name = TypeVar("Name")
 Result = TypeVar("Result")
-
-
-def parallel(work: Callable[[Name], Result], names: Iterable[Name]) -> dict[Name, Result]:
-    """Run a task for each name, in parallel on all cores and in double precision; return name to result.
-
-    Threads suffice: JAX compiles and computes without Python's global interpreter lock. An exception is
-    raised after all tasks have ended.
-    """
-    with ThreadPoolExecutor(max(2, os.cpu_count() or 1)) as executor:
-        # JAX's precision is a setting per thread.
-        futures = {name: executor.submit(double_precision(work), name) for name in names}
-    return {name: future.result() for name, future in futures.items()}
-
 
 # Optional parts of a result: a part that fails is left out, with a notice.
 

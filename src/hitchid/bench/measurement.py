@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid.bench.plant import Rig
 from hitchid.bench.sensors import CalibrationCurve
 from hitchid.bench.simulation import SAMPLE_S, RigMotion

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid.bench.linkage import Cylinder, Friction, Linkage
 from hitchid.bench.plant import Rig
 from hitchid.bench.quantities import QuantityRange, to_base_unit

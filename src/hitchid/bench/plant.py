@@ -12,7 +12,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
 from hitchid.bench.linkage import Cylinder, Linkage, Load
 from hitchid.bench.sensors import Sensors

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
 from hitchid.bench.plant import Rig, at_temperature, hold_pressure
 from hitchid.bench.valves import TANK_PRESSURE_PA, Scalar

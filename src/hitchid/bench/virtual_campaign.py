@@ -15,7 +15,7 @@ import numpy as np
 
 from hitchid._support import checks
 from hitchid._support.files import write_folder
-from hitchid._support.progress import parallel
+from hitchid._support.precision import parallel
 from hitchid.bench import excitation
 from hitchid.bench.excitation import (
     RAMP_TRAVEL_M,

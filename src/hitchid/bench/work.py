@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from hitchid._support import checks
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
 from hitchid.bench.plant import Rig, rig_limits
 from hitchid.bench.simulation import SAMPLE_S

@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field, field_validator, model_validator
 from hitchid._support import checks
 from hitchid._support.bounded import Number, Positive, Size
 from hitchid._support.files import write_bytes
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
 from hitchid.control.axis import Axis
 from hitchid.control.controller import Gains, HitchController, HoldWindow

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hitchid._support import checks
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
 from hitchid.control.loops import SHARE, DirectionLoops, pi_gains
 from hitchid.control.prediction import loads_of_channels

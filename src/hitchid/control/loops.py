@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.linalg import expm, solve_discrete_are
 
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
 from hitchid.control.axis import Axis
 from hitchid.control.controller import Gains

@@ -14,7 +14,7 @@ from scipy.stats import qmc
 
 from hitchid._support import checks
 from hitchid._support.files import write_file
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
 from hitchid.bench.excitation import prbs, precompensated
 from hitchid.errors import InputError

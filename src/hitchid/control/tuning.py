@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from hitchid._support import checks
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent
 from hitchid._support.records import short_repr
 from hitchid.control.controller import Gains, HitchController, HoldWindow

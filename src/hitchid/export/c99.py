@@ -9,7 +9,8 @@ import numpy as np
 
 from hitchid._support import checks
 from hitchid._support.files import canonical_json, check_folder, write_files, write_folder
-from hitchid._support.jax_setup import double_precision, installed_versions
+from hitchid._support.jax_setup import installed_versions
+from hitchid._support.precision import double_precision
 from hitchid.control import ControllerFile
 from hitchid.errors import InputError
 from hitchid.export.c_templates import CTemplates, Precision, c_templates

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from hitchid._support import checks
 from hitchid._support.files import canonical_json, check_file, digest, write_bytes, write_files
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid.errors import InputError
 from hitchid.export.c99 import Export, VerifiedSource, manifest, verified_source
 from hitchid.export.c_templates import Precision

@@ -8,7 +8,8 @@ import numpy as np
 
 from hitchid._support import checks
 from hitchid._support.files import canonical_json, check_folder, write_files, write_folder
-from hitchid._support.jax_setup import double_precision, installed_versions
+from hitchid._support.jax_setup import installed_versions
+from hitchid._support.precision import double_precision
 from hitchid.errors import InputError
 from hitchid.export.c99 import MANIFEST, Export, check_name
 from hitchid.export.verification import ParityError

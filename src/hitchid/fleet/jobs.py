@@ -11,7 +11,8 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from hitchid._support.files import canonical_json, digest
-from hitchid._support.jax_setup import double_precision, installed_versions
+from hitchid._support.jax_setup import installed_versions
+from hitchid._support.precision import double_precision
 from hitchid.errors import InputError
 from hitchid.fleet.ledger import MODEL_FILE, load_model, model_name, newest, read_rows
 from hitchid.fleet.row import DONE, DirectionRow, DriftRow, Row, TaskRow, ValidationRow
@@ -49,7 +50,7 @@ class IdentificationJob(Job[Row]):
 
     def work(self, row: Row, folder: Path) -> tuple[Row, int]:
         """Write the model of the logs in a folder; return the row with its figures, and the bytes written."""
-        from hitchid.fleet.row import direction_rows
+        from hitchid.fleet.estimates import direction_rows
         from hitchid.identification.identify import identify
         from hitchid.logs import read
         from hitchid.model import load

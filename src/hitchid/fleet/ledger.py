@@ -4,11 +4,14 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
-from hitchid._support.tables import DataTable
 from hitchid.errors import InputError
 from hitchid.fleet.row import FAILED, MAX_BYTES, OneRow, Row, TaskRow
 from hitchid.fleet.store import KEY_LENGTH, Store
+
+if TYPE_CHECKING:
+    from hitchid._support.tables import DataTable
 
 # Rows of a fleet as one table, CSV and Parquet.
 
@@ -38,12 +41,14 @@ def compact(store: Store, rows: Iterable[TaskRow]) -> None:
         InputError: pyarrow is not installed.
         StoreError: the store cannot be written.
     """
+    from hitchid._support.tables import DataTable  # imports NumPy, before which a worker takes its core
+
     table = DataTable.of_rows("fleet", table_rows(rows))
     store.write(TABLE_FILE, table.csv())
     store.write(PARQUET_FILE, parquet(table))
 
 
-def parquet(table: DataTable) -> bytes:
+def parquet(table: "DataTable") -> bytes:
     """Return a table as a Parquet file.
 
     Raises:

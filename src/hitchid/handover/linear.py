@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from hitchid._support import checks
 from hitchid._support.checks import named_arguments
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid._support.tables import Summarised, Summary
 from hitchid.errors import InputError
 from hitchid.handover.inverse import InverseTable, make_inverse_table

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from scipy.special import ndtri
 
 from hitchid._support import checks
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
 from hitchid.errors import InputError
 from hitchid.logs.record import DISPLACEMENT

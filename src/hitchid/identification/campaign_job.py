@@ -7,7 +7,8 @@ import numpy as np
 
 from hitchid._support.checkpoints import Checkpoints
 from hitchid._support.jax_setup import installed_versions
-from hitchid._support.progress import ProgressCallback, attempt, parallel, parallel_progress
+from hitchid._support.precision import parallel
+from hitchid._support.progress import ProgressCallback, attempt, parallel_progress
 from hitchid.errors import InputError, SettingsError
 from hitchid.identification.channel_trace import ChannelConfig, ChannelTrace
 from hitchid.identification.config import IdentificationConfig

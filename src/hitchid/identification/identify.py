@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import ParamSpec, TypeVar
 
 from hitchid._support.checks import named_arguments, path, tuple_of
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid._support.progress import (
     ProgressCallback,
     ProgressUpdate,

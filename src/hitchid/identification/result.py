@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid._support.tables import Summarised, Summary, first_notes
 from hitchid.identification.channel_trace import ChannelTrace
 from hitchid.logs.record import DISPLACEMENT

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from hitchid._support import checks
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid._support.progress import ProgressCallback
 from hitchid._support.progress_display import shown
 from hitchid.errors import InputError

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.special import ndtri
 
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
 from hitchid.live.parameters import DEAD_ZONE, Changes, changed_benchmark
 from hitchid.live.strokes import LONGEST_S, Stroke

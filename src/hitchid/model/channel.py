@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hitchid._support import checks
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
 from hitchid.logs.record import Record
 from hitchid.model.limits import TravelLimits

@@ -11,7 +11,7 @@ import numpy as np
 
 from hitchid._support import checks
 from hitchid._support.inert import html_text
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
 from hitchid._support.tables import dataframe, screen
 from hitchid.errors import InputError

@@ -2,7 +2,7 @@
 
 import pickle
 
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid._support.records import Value, field_values, rebuild
 
 

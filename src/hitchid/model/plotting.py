@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hitchid._support import checks
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid.errors import InputError
 from hitchid.handover import responses
 from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT

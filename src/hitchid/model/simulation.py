@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike
 
 from hitchid._support import checks
 from hitchid._support.bounded import MAX_MAGNITUDE
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid._support.tables import GAP, dataframe, screen, wrapped
 from hitchid.errors import InputError
 from hitchid.logs.kinds import ACTIVE_FRACTION, effective_command, full_scales

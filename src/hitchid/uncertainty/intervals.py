@@ -6,7 +6,8 @@ from math import exp, log
 
 import numpy as np
 
-from hitchid._support.progress import ProgressCallback, ProgressUpdate, parallel, silent, split_progress
+from hitchid._support.precision import parallel
+from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent, split_progress
 from hitchid.estimation import Objective
 from hitchid.model.estimates import MAX_INTERVAL_RATIO, NOT_ASSESSED, Estimate, Estimates, Interval, Quantity
 from hitchid.structures import DEAD_TIME

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hitchid._support import checks
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent
 from hitchid.errors import InputError
 from hitchid.logs.campaign import Campaign

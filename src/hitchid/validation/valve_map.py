@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import savgol_filter
 
-from hitchid._support.jax_setup import double_precision
+from hitchid._support.precision import double_precision
 from hitchid.handover.responses import settling_s
 from hitchid.logs.record import COMMAND, DISPLACEMENT, Record
 from hitchid.model import Channel

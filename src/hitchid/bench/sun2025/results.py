@@ -8,8 +8,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid._support.jax_setup import double_precision
 from hitchid._support.metrics import error_figures, rmse_error
+from hitchid._support.precision import double_precision
 from hitchid.bench.excitation import HIGH, LOW
 from hitchid.bench.parameter_files import load_rig
 from hitchid.bench.plant import Rig, rig_limits
