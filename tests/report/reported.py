@@ -1,5 +1,6 @@
 """Records that a report is made of, put together by hand: predictions, figures, traces, documents."""
 
+import inspect
 from dataclasses import asdict
 from functools import cache
 
@@ -281,3 +282,9 @@ def document(*, said="A paragraph.", table=TABLE, items=None, title="A report", 
             ReportSection("Logs", (Findings(FINDINGS),)),
         ),
     )
+
+
+def sketch(figure, *shown):
+    """Return what the function of a figure draws, whatever the picture is called and its words are."""
+    words = dict.fromkeys({"caption", "alt"} & set(inspect.signature(figure).parameters), "")
+    return figure("name", *shown, **words).figure

@@ -262,6 +262,17 @@ class Characteristics:
     speed_map: tuple[SpeedPoint, ...]
     measured: tuple[MeasuredSpeed, ...]
 
+    @property
+    def quantities(self) -> dict[str, tuple[Quantity, str]]:
+        """Dead zone, command at which flow begins, delay and response time, as far as known, with units."""
+        quantities = {
+            "dead_zone": (self.dead_zone, self.command_unit),
+            "flow_begins": (self.opening, self.command_unit),
+            "delay": (self.delay, "s"),
+            "response_time": (self.response_time, "s"),
+        }
+        return {name: (quantity, unit) for name, (quantity, unit) in quantities.items() if quantity}
+
     def scaled(self, factor: float) -> "Characteristics":
         """Return the characteristics with a factor on the gain; measured speeds are not changed."""
         return replace(self, speed_map=tuple(point.scaled(factor) for point in self.speed_map))

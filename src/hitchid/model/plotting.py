@@ -168,8 +168,8 @@ def plot_bode(
     """Draw the Bode diagram from command beyond the dead zone to travel.
 
     The frequency response is that of the continuous physical model with its dead time, without networks;
-    see `hitchid.handover.frequency_response`. The band contains 95 % of the responses of 200 parameter vectors,
-    drawn from the distribution of the estimates; a model without estimates has none.
+    see `hitchid.handover.frequency_response`. The band contains 95 % of the responses of 200 parameter
+    vectors, drawn from the distribution of the estimates; a model without estimates has none.
 
     Args:
         direction: lifting or lowering; None for all directions of the model, in the same axes.

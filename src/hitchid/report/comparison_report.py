@@ -1,12 +1,12 @@
 """Report of a comparison: errors of models in common tables and figures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from hitchid.model import Estimate
 from hitchid.plots.style import COMPARED
-from hitchid.report import figure_data, figures, numbers
+from hitchid.report import figures, numbers
 from hitchid.report.document import (
     Document,
     Finding,
@@ -243,53 +243,49 @@ def _pictures(comparison: ModelComparison, section: str) -> list[Picture]:
     unit, tests = comparison.unit, comparison.free_runs(section)
     labels = [label for label in comparison.labels if label in COMPARED]
     selected_tests, selection_text = shown_tests(tests, labels[-1])
-    horizons = _horizons(comparison, section, labels)
+    names = ", ".join(selected_tests.names)
     models_text = "all models" if len(labels) == len(comparison) else f"models {labels[0]} to {labels[-1]}"
-    return [
-        Picture(
-            f"{section}-overlay",
-            figures.outputs(selected_tests, unit, labels),
-            f"Free runs of {models_text} and their errors: "
-            f"{selection_text} ({', '.join(selected_tests.names)}).",
-            f"Displacement and error over time of {', '.join(selected_tests.names)} for {models_text}.",
-            data=figure_data.outputs(selected_tests, unit, labels),
-        ),
-        *_distribution(section, {label: tests.errors(label) for label in labels}, unit, models_text),
-        Picture(
-            f"{section}-horizons",
-            figures.horizons(horizons, comparison.step_s, unit),
-            "Error over the prediction horizon.",
-            f"RMSE in {unit} over the horizon for {models_text}.",
-            data=figure_data.horizons(horizons, comparison.step_s, unit),
-        ),
-        Picture(
-            f"{section}-tests",
-            figures.errors_by_test(tests, unit, labels[::-1]),
-            "RMSE of each test in free run; the bar is the RMSE over all tests.",
-            f"RMSE of each of {len(tests.names)} tests for {models_text}.",
-            data=figure_data.errors_by_test(tests, unit, labels[::-1]),
-        ),
-    ]
-
-
-def _horizons(comparison: ModelComparison, section: str, labels: Sequence[str]) -> Horizons:
     by_label = dict(zip(comparison.labels, comparison.accuracy(section), strict=True))
     first = by_label[comparison.labels[0]].horizons
-    rmse = {label: by_label[label].horizons.rmse[GREYBOX] for label in labels}
-    return Horizons(first.steps, {PERSISTENCE: first.rmse[PERSISTENCE], **rmse})
-
-
-def _distribution(
-    section: str, errors: Mapping[str, np.ndarray], unit: str, models_text: str
-) -> list[Picture]:
-    if not all(np.all(np.isfinite(rows)) for rows in errors.values()):
-        return []
-    return [
-        Picture(
-            f"{section}-distribution",
-            figures.error_distribution(errors, unit),
-            "Errors in free run on all tests.",
-            f"Distribution of errors in {unit} for {models_text}.",
-            data=figure_data.errors(errors, unit),
+    horizons = {label: by_label[label].horizons.rmse[GREYBOX] for label in labels}
+    horizons = Horizons(first.steps, {PERSISTENCE: first.rmse[PERSISTENCE], **horizons})
+    errors = {label: tests.errors(label) for label in labels}
+    pictures = [
+        figures.outputs(
+            f"{section}-overlay",
+            selected_tests,
+            unit,
+            labels,
+            f"Free runs of {models_text} and their errors: {selection_text} ({names}).",
+            f"Displacement and error over time of {names} for {models_text}.",
         )
+    ]
+    if all(np.all(np.isfinite(rows)) for rows in errors.values()):
+        pictures.append(
+            figures.error_distribution(
+                f"{section}-distribution",
+                errors,
+                unit,
+                "Errors in free run on all tests.",
+                f"Distribution of errors in {unit} for {models_text}.",
+            )
+        )
+    return [
+        *pictures,
+        figures.horizons(
+            f"{section}-horizons",
+            horizons,
+            comparison.step_s,
+            unit,
+            "Error over the prediction horizon.",
+            f"RMSE in {unit} over the horizon for {models_text}.",
+        ),
+        figures.errors_by_test(
+            f"{section}-tests",
+            tests,
+            unit,
+            labels[::-1],
+            "RMSE of each test in free run; the bar is the RMSE over all tests.",
+            f"RMSE of each of {len(tests.names)} tests for {models_text}.",
+        ),
     ]

@@ -16,7 +16,6 @@ from hitchid.logs.record import COMMAND
 from hitchid.model import Hitch, TwoModes
 from hitchid.validation.acceptance import Acceptance, check_limits
 from hitchid.validation.limits import AcceptanceLimits
-from hitchid.validation.metrics_json import validation_json
 from hitchid.validation.report_data import ReportData, log_uses, report_data
 from hitchid.validation.results import (
     BENCHMARK,
@@ -28,7 +27,7 @@ from hitchid.validation.results import (
     CycleResult,
     Predictions,
 )
-from hitchid.validation.tables import log_table, validation_tables
+from hitchid.validation.tables import log_table, validation_json, validation_tables
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
