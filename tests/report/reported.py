@@ -284,7 +284,11 @@ def document(*, said="A paragraph.", table=TABLE, items=None, title="A report", 
     )
 
 
-def sketch(figure, *shown):
+PAPER = ("one_step", "free_run", "benchmark")
+
+
+def sketch(name, *shown):
     """Return what the function of a figure draws, whatever the picture is called and its words are."""
+    figure = getattr(figures, name)
     words = dict.fromkeys({"caption", "alt"} & set(inspect.signature(figure).parameters), "")
     return figure("name", *shown, **words).figure

@@ -214,9 +214,7 @@ class SpeedPoint:
 
     def scaled(self, factor: float) -> "SpeedPoint":
         """Return the point with a factor on the gain."""
-        lower, upper = self.interval
-        scaled_interval = None if lower is None else factor * lower, None if upper is None else factor * upper
-        return replace(self, speed=factor * self.speed, interval=scaled_interval)
+        return replace(self, speed=factor * self.speed, interval=_scale_interval(self.interval, factor))
 
 
 @short_repr

@@ -51,7 +51,9 @@ def leaderboard_table(comparison: ModelComparison, section: str) -> Table:
             numbers.with_error(row.free_run.rmse, row.free_run.rmse_error),
             numbers.with_error(row.free_run.fit, row.free_run.fit_error),
             "" if row.one_step is None else numbers.with_error(row.one_step.rmse, row.one_step.rmse_error),
-            _difference(row),
+            row.standing.value
+            if row.tested is None
+            else f"{row.standing.value}, {numbers.p_value(row.tested)}",
         )
         for row in rows
     )
@@ -102,12 +104,6 @@ def comparison_parameters(comparison: ModelComparison) -> list[Table]:
     return all_tables
 
 
-def _difference(row: LeaderboardRow) -> str:
-    if row.tested is None:
-        return row.standing.value
-    return f"{row.standing.value}, {numbers.p_value(row.tested)}"
-
-
 def _cell(estimate: Estimate | None) -> str:
     """Return a parameter as `K = 39.4 ± 0.6 mm/(s·A)`, or the verdict on one that is not determined."""
     if estimate is None:
@@ -129,7 +125,13 @@ def comparison_report(comparison: ModelComparison, *, command: str = "") -> Docu
     return Document(
         title=f"Comparison of {numbers.count(len(comparison), 'model')}",
         subtitle="; ".join(f"{label}: {name}" for label, name in models),
-        verdict=tuple(_finding(comparison, section) for section in comparison.sections),
+        verdict=tuple(
+            Finding(
+                Rating.CAUTION if comparison.verdict(section).better is None else Rating.GOOD,
+                sentence(f"{section}: {verdict_text(comparison, section)}"),
+            )
+            for section in comparison.sections
+        ),
         notices=tuple(map(sentence, comparison.notices)),
         sections=(
             *(_section(comparison, section) for section in comparison.sections),
@@ -139,7 +141,11 @@ def comparison_report(comparison: ModelComparison, *, command: str = "") -> Docu
         summary=tuple(_summary(comparison, section) for section in comparison.sections),
         data=comparison.metrics,
         data_tables=comparison.tables(),
-        signals=_signals(comparison),
+        signals=Signals(
+            {section: comparison.free_runs(section) for section in comparison.sections},
+            comparison.unit,
+            comparison.validations[0].model.units,
+        ),
     )
 
 
@@ -165,7 +171,14 @@ def comparison_tables(comparison: ModelComparison) -> Document:
 def verdict_text(comparison: ModelComparison, section: str) -> str:
     """Return the model with the smallest error in free run and the significance of its difference."""
     rows = comparison.leaderboard().section(section)
-    errors_text = _errors_text(rows, comparison.unit)
+    errors = [
+        numbers.DIVERGED
+        if row.free_run.rmse is None
+        else f"{numbers.with_error(row.free_run.rmse, row.free_run.rmse_error)} {comparison.unit}"
+        for row in rows
+    ]
+    with_labels = (f"{error} with {row.label}" for error, row in zip(errors, rows, strict=True))
+    errors_text = f"RMSE {', '.join(with_labels)}"
     best, tests = rows[0], numbers.count(rows[0].tests, "test")
     worse, similar = (
         _listed([row.label for row in rows if row.standing is standing])
@@ -197,29 +210,9 @@ def _smallest(comparison: ModelComparison, section: str, rows: Sequence[Leaderbo
     return f"{best} has the smallest error in free run on {wins} of {tests}{factor}"
 
 
-def _errors_text(rows: Sequence[LeaderboardRow], unit: str) -> str:
-    def error(row: LeaderboardRow) -> str:
-        figures = row.free_run
-        if figures.rmse is None:
-            return numbers.DIVERGED
-        return f"{numbers.with_error(figures.rmse, figures.rmse_error)} {unit}"
-
-    return "RMSE " + ", ".join(f"{error(row)} with {row.label}" for row in rows)
-
-
 def _listed(labels: Sequence[str]) -> str:
     """Return labels as `B`, `B and C`, `B, C and D`; empty for none."""
     return " and ".join(filter(None, (", ".join(labels[:-1]), *labels[-1:])))
-
-
-def _signals(comparison: ModelComparison) -> Signals:
-    tests = {section: comparison.free_runs(section) for section in comparison.sections}
-    return Signals(tests, comparison.unit, comparison.validations[0].model.units)
-
-
-def _finding(comparison: ModelComparison, section: str) -> Finding:
-    rating = Rating.CAUTION if comparison.verdict(section).better is None else Rating.GOOD
-    return Finding(rating, sentence(f"{section}: {verdict_text(comparison, section)}"))
 
 
 def _summary(comparison: ModelComparison, section: str) -> Table:

@@ -7,13 +7,8 @@ from hitchid.model import Estimate, Interval, LoadOfTest, LoadScatter, Quantity,
 from hitchid.model.estimates import NOT_ASSESSED
 from hitchid.report.document import Faint
 from hitchid.validation import RunFigures
-
-DIVERGED = "diverged"
-
-
-def digits(value: float | None) -> str:
-    """Return a number with four significant digits; 'diverged' for None."""
-    return DIVERGED if value is None else f"{value:.4g}"
+from hitchid.validation.results import DIVERGED as DIVERGED
+from hitchid.validation.results import value_text as digits
 
 
 def percent(share: float, decimals: int = 1) -> str:

@@ -4,7 +4,7 @@ import ast
 import json
 from collections.abc import Iterator, Mapping, Sequence
 
-from hitchid.logs.audit import AuditFinding, Severity
+from hitchid.logs.audit import Severity
 from hitchid.model.trace import ChannelTraceFile
 from hitchid.report import figures, numbers
 from hitchid.report.context import DirectionContext
@@ -33,7 +33,13 @@ def logs_section(data: LogData) -> ReportSection:
     """Return the section on the logs: findings of the audit, every log, figures of mixed ones."""
     inspection = data.inspection
     findings = tuple(
-        _report_finding(finding) for finding in inspection.findings if finding.severity in LEVELS
+        Finding(
+            LEVELS[finding.severity],
+            f"{f'{finding.record}: ' if finding.record else ''}{finding.check}: {finding.what}; "
+            f"{finding.advice}.",
+        )
+        for finding in inspection.findings
+        if finding.severity in LEVELS
     )
     notices = (*data.notices, *inspection.notices)
     findings += tuple(Finding(Rating.CAUTION, sentence(str(notice))) for notice in notices)
@@ -44,11 +50,6 @@ def logs_section(data: LogData) -> ReportSection:
         segmented_logs = [(log.record, log.segments) for log in shown_logs]
         blocks.append(Pictures((figures.timeline_picture(segmented_logs, len(inspection.mixed)),)))
     return ReportSection("Logs", tuple(blocks))
-
-
-def _report_finding(finding: AuditFinding) -> Finding:
-    prefix = f"{finding.record}: " if finding.record else ""
-    return Finding(LEVELS[finding.severity], f"{prefix}{finding.check}: {finding.what}; {finding.advice}.")
 
 
 def _table(logs: Sequence[LogUse]) -> Table:

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 
 from hitchid.logs.record import DISPLACEMENT
-from hitchid.model import Provenance
 from hitchid.model.trace import ChannelTraceFile
 from hitchid.report import figures, numbers
 from hitchid.report.context import DirectionContext
@@ -219,9 +218,16 @@ def validation_report(
         acceptance: result of the acceptance limits; None without limits.
         command: the command line that wrote the report.
     """
-    counts = [_count(direction, len(accuracy.tests)) for direction, accuracy in result.accuracy.items()]
+    made = result.model.provenance
+    counts = [
+        numbers.count(
+            len(accuracy.tests),
+            "unseen cycle" if direction == CYCLES else f"unseen {direction} test",
+        )
+        for direction, accuracy in result.accuracy.items()
+    ]
     return Document(
-        title=_title(result.model.provenance),
+        title=f"Validation of {made.name} ({made.date})" if made.name else "Validation of a model",
         subtitle=f"{', '.join(counts)}; {DISPLACEMENT} in {result.unit}",
         uses=uses_section(result),
         verdict=verdict_section(result, acceptance),
@@ -232,7 +238,14 @@ def validation_report(
             logs_section(data.logs),
             origin_section(data.origin, command),
         ),
-        summary=tuple(_summary(result)),
+        summary=tuple(
+            summary_table(
+                direction,
+                [(model_name(name), accuracy.models[name]) for name in in_table_order(accuracy.models)],
+                result.unit,
+            )
+            for direction, accuracy in result.accuracy.items()
+        ),
         checks=() if acceptance is None else acceptance.checks,
         data=result.metrics,
         data_tables=result.tables() | ({} if acceptance is None else {"limits": acceptance.table()}),
@@ -303,24 +316,3 @@ def all_tables(result: Validation) -> list[Table]:
         if channel.searches:
             table_list.append(search_table(direction, channel.searches, unit))
     return table_list if result.cycles is None else table_list + cycle_tables(result.cycles.accuracy, unit)
-
-
-def _summary(result: Validation) -> list[Table]:
-    return [
-        summary_table(
-            direction,
-            [(model_name(name), accuracy.models[name]) for name in in_table_order(accuracy.models)],
-            result.unit,
-        )
-        for direction, accuracy in result.accuracy.items()
-    ]
-
-
-def _title(provenance: Provenance) -> str:
-    if not provenance.name:
-        return "Validation of a model"
-    return f"Validation of {provenance.name} ({provenance.date})"
-
-
-def _count(direction: str, count: int) -> str:
-    return numbers.count(count, "unseen cycle" if direction == CYCLES else f"unseen {direction} test")
