@@ -258,7 +258,7 @@ FINDINGS = (
 @cache
 def _small():
     """Return a small figure, drawn once."""
-    return figures.horizons(horizons(names=("persistence", "greybox")), STEP_S, "mm")
+    return sketch("horizons", horizons(names=("persistence", "greybox")), STEP_S, "mm")
 
 
 def picture(name="curve", *, caption="What is seen.", alt="Error over the horizon.", wide=False):
