@@ -1,5 +1,6 @@
 """Records that a report is made of, put together by hand: predictions, figures, traces, documents."""
 
+import inspect
 from dataclasses import asdict
 from functools import cache
 
@@ -257,7 +258,7 @@ FINDINGS = (
 @cache
 def _small():
     """Return a small figure, drawn once."""
-    return figures.horizons(horizons(names=("persistence", "greybox")), STEP_S, "mm")
+    return sketch("horizons", horizons(names=("persistence", "greybox")), STEP_S, "mm")
 
 
 def picture(name="curve", *, caption="What is seen.", alt="Error over the horizon.", wide=False):
@@ -281,3 +282,13 @@ def document(*, said="A paragraph.", table=TABLE, items=None, title="A report", 
             ReportSection("Logs", (Findings(FINDINGS),)),
         ),
     )
+
+
+PAPER = ("one_step", "free_run", "benchmark")
+
+
+def sketch(name, *shown):
+    """Return what the function of a figure draws, whatever the picture is called and its words are."""
+    figure = getattr(figures, name)
+    words = dict.fromkeys({"caption", "alt"} & set(inspect.signature(figure).parameters), "")
+    return figure("name", *shown, **words).figure

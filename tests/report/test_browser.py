@@ -19,6 +19,7 @@ from hitchid.report import (
     write_report,
 )
 from hitchid.report.document import Findings
+from reported import PAPER, sketch
 
 pytestmark = pytest.mark.long
 
@@ -49,21 +50,21 @@ def everything(timeline):
     """Return a report with each kind of figure and a table too wide for a telephone."""
     tests = reported.predictions()
     drawn = {
-        "outputs": figures.outputs(tests, "mm"),
-        "distribution": figures.error_distribution(
-            {name: tests.errors(name) for name in ("one_step", "free_run")}, "mm"
+        "outputs": sketch("outputs", tests, "mm", PAPER),
+        "distribution": sketch(
+            "error_distribution", {name: tests.errors(name) for name in ("one_step", "free_run")}, "mm"
         ),
-        "tests": figures.errors_by_test(tests, "mm", RIVALS),
-        "horizons": figures.horizons(reported.horizons(), reported.STEP_S, "mm"),
-        "predicted": figures.predicted_errors({"test": tests}, "mm"),
-        "intervals": figures.intervals(reported.ESTIMATES),
-        "coverage": figures.coverage(reported.bands(), reported.STEP_S),
-        "correlations": figures.residual_correlations(reported.residuals()),
-        "places": figures.residuals_by_variable(reported.residuals(), "mm", "A"),
-        "convergence": figures.convergence(reported.trace(*reported.ESTIMATES).phase1, "mm"),
-        "losses": figures.losses(reported.trace().phase2),
-        "structures": figures.structures(reported.trace().candidates, "mm"),
-        "searches": figures.searches(reported.searches(), "mm"),
+        "tests": sketch("errors_by_test", tests, "mm", RIVALS),
+        "horizons": sketch("horizons", reported.horizons(), reported.STEP_S, "mm"),
+        "predicted": sketch("predicted_errors", {"test": tests}, "mm"),
+        "intervals": sketch("intervals", "title", reported.ESTIMATES),
+        "coverage": sketch("coverage", reported.bands(), reported.STEP_S),
+        "correlations": sketch("residual_correlations", reported.residuals()),
+        "places": sketch("residuals_by_variable", reported.residuals(), "mm", "A"),
+        "convergence": sketch("convergence", reported.trace(*reported.ESTIMATES).phase1, "mm"),
+        "losses": sketch("losses", reported.trace().phase2),
+        "structures": sketch("structures", reported.trace().candidates, "mm", None),
+        "searches": sketch("searches", reported.searches(), "mm"),
     }
     narrow = tuple(
         Picture(name, each, f"Caption of {name}.", f"Text of {name}.") for name, each in drawn.items()

@@ -7,7 +7,7 @@ import pytest
 
 import reported
 import validated
-from hitchid.report import figure_data, write_report
+from hitchid.report import figures, write_report
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_a_figure_of_curves_of_different_lengths_keeps_each_whole(folder):
 
 def test_a_timeline_names_the_segment_of_every_sample():
     records = reported.mixed("cycle-01", "cycle-02")
-    table = figure_data.timeline(records)
+    table = figures.timeline_picture(records, 2).data
     assert table["log"] == ["cycle-01"] * 200 + ["cycle-02"] * 200
     for record, (label, start, stop) in [(r, s) for r, segments in records for s in segments]:
         offset = 200 * (record.name == "cycle-02")
@@ -70,7 +70,7 @@ def test_a_timeline_names_the_segment_of_every_sample():
 
 def test_the_first_samples_of_predicted_errors_are_those_of_the_figure():
     tests = validated.predictions()
-    table = figure_data.predicted_errors({"test": tests}, "mm", 290)
-    expected = tests.actual[0][1:290] - tests.models["benchmark"][0][1:290]
-    np.testing.assert_array_equal(table["test_actual_mm"][1:], expected)
+    table = figures.predicted_errors("name", {"test": tests}, "mm", "", "").data
+    expected = tests.actual[0][1:] - tests.models["benchmark"][0][1:]
+    np.testing.assert_array_equal(table["test_actual_mm"][1 : expected.size + 1], expected)
     assert np.isnan(table["test_actual_mm"][0])

@@ -19,14 +19,17 @@ from scipy.integrate import trapezoid
 import handmade
 import reported
 from hitchid.logs.record import LIFTING
+from hitchid.model.trace import TracedDeadZone
 from hitchid.plots.style import COLOURS, COMPARED, DECIMATION_BINS, SHADES, decimate
-from hitchid.report import figures
-from hitchid.report.figures.valve import ONSET_FACTOR
+from hitchid.report import Picture, figures
+from hitchid.report.figures.parameters import ONSET_FACTOR
 from hitchid.report.svg import svg
 from hitchid.validation import Horizons
 from hitchid.validation.results import LABELS, concatenated_time
 from hitchid.validation.valve_map import valve_map
+from reported import PAPER, sketch
 
+ZONE = TracedDeadZone(value=0.35, spread=0.01, origin="ramps", count=1)
 RIVALS = ("lstm", "narx", "arx", "transfer_function", "benchmark", "free_run")
 # Counts, quantities scaled to 1, and an axis on which nothing but the order of searches is told.
 WITHOUT_UNIT = {
@@ -70,25 +73,27 @@ def ramp(make_record):
 
 
 DRAWN = {
-    "convergence": lambda unit: figures.convergence(reported.trace().phase1, unit),
-    "coverage": lambda unit: figures.coverage(reported.bands(), reported.STEP_S),
-    "error_distribution": lambda unit: figures.error_distribution(
-        {name: reported.predictions().errors(name) for name in ("one_step", "free_run")}, unit
+    "convergence": lambda unit: (reported.trace().phase1, unit),
+    "coverage": lambda unit: (reported.bands(), reported.STEP_S),
+    "error_distribution": lambda unit: (
+        {name: reported.predictions().errors(name) for name in ("one_step", "free_run")},
+        unit,
     ),
-    "errors_by_test": lambda unit: figures.errors_by_test(reported.predictions(), unit, RIVALS),
-    "horizons": lambda unit: figures.horizons(reported.horizons(), reported.STEP_S, unit),
-    "intervals": lambda unit: figures.intervals(reported.ESTIMATES),
-    "loads": lambda unit: figures.loads(reported.load_scatter()),
-    "losses": lambda unit: figures.losses(reported.trace().phase2),
-    "outputs": lambda unit: figures.outputs(reported.predictions(), unit),
-    "predicted_errors": lambda unit: figures.predicted_errors(
-        {part: reported.predictions() for part in ("training", "validation")}, unit
+    "errors_by_test": lambda unit: (reported.predictions(), unit, RIVALS),
+    "horizons": lambda unit: (reported.horizons(), reported.STEP_S, unit),
+    "intervals": lambda unit: ("title", reported.ESTIMATES),
+    "loads": lambda unit: (reported.load_scatter(),),
+    "losses": lambda unit: (reported.trace().phase2,),
+    "outputs": lambda unit: (reported.predictions(), unit, PAPER),
+    "predicted_errors": lambda unit: (
+        {part: reported.predictions() for part in ("training", "validation")},
+        unit,
     ),
-    "residual_correlations": lambda unit: figures.residual_correlations(reported.residuals()),
-    "residuals_by_variable": lambda unit: figures.residuals_by_variable(reported.residuals(), unit, "A"),
-    "searches": lambda unit: figures.searches(reported.searches(), unit),
-    "speed_map": lambda unit: figures.speed_map(reported.characteristics(unit)),
-    "structures": lambda unit: figures.structures(reported.trace().candidates, unit),
+    "residual_correlations": lambda unit: (reported.residuals(),),
+    "residuals_by_variable": lambda unit: (reported.residuals(), unit, "A"),
+    "searches": lambda unit: (reported.searches(), unit),
+    "speed_map": lambda unit: (reported.characteristics(unit),),
+    "structures": lambda unit: (reported.trace().candidates, unit, None),
 }
 
 
@@ -104,13 +109,13 @@ def draw(pressed, ramp):
     def fresh(name, unit):
         match name:
             case "dead_zone":
-                return figures.dead_zone([ramp], LIFTING, 0.35, 0.01, unit, "A")
+                return sketch("dead_zone", [ramp], LIFTING, ZONE, unit, "A")
             case "timeline":
                 return figures.timeline(reported.mixed("odd", "even"))
             case "valve_map":
                 channel = handmade.channel(LIFTING)
-                return figures.valve_map(valve_map(channel, [pressed(0, 0.5, 0, 0.6)], [ramp]), unit, "A")
-        return DRAWN[name](unit)
+                return sketch("valve_map", valve_map(channel, [pressed(0, 0.5, 0, 0.6)], [ramp]), unit, "A")
+        return sketch(name, *DRAWN[name](unit))
 
     return drawn
 
@@ -123,9 +128,9 @@ def test_every_public_figure_is_tested_here():
     returning = {
         name
         for name, made in vars(figures).items()
-        if inspect.isfunction(made) and inspect.signature(made).return_annotation is Figure
+        if inspect.isfunction(made) and inspect.signature(made).return_annotation in (Figure, Picture)
     }
-    assert returning == set(EVERY)
+    assert returning == {*EVERY, "timeline_picture"}
 
 
 # --- what every figure keeps --------------------------------------------------------------------------------
@@ -230,14 +235,14 @@ def colours(axes):
 
 def test_a_model_has_one_colour_in_all_figures():
     tests = reported.predictions()
-    by_test = figures.errors_by_test(tests, "mm", RIVALS).axes[0]
+    by_test = sketch("errors_by_test", tests, "mm", RIVALS).axes[0]
     rows = [text.get_text() for text in by_test.get_yticklabels()]
     points = [line for line in by_test.get_lines() if line.get_marker() not in ("|", "None")]
     found = [
         {row: {line.get_color()} for row, line in zip(rows, points, strict=True)},
-        colours(figures.horizons(reported.horizons(), reported.STEP_S, "mm").axes[0]),
-        colours(figures.outputs(tests, "mm", ("benchmark", "one_step", "free_run")).axes[0]),
-        colours(DRAWN["error_distribution"]("mm").axes[0]),
+        colours(sketch("horizons", reported.horizons(), reported.STEP_S, "mm").axes[0]),
+        colours(sketch("outputs", tests, "mm", ("benchmark", "one_step", "free_run")).axes[0]),
+        colours(sketch("error_distribution", *DRAWN["error_distribution"]("mm")).axes[0]),
     ]
     assert {"grey box", "physics model", "grey box, one step", "ARX"} <= set().union(*found)
     for name in set().union(*found):
@@ -245,7 +250,7 @@ def test_a_model_has_one_colour_in_all_figures():
 
 
 def test_no_two_models_of_a_figure_look_alike_even_without_colours():
-    lines = figures.horizons(reported.horizons(), reported.STEP_S, "mm").axes[0].get_lines()
+    lines = sketch("horizons", reported.horizons(), reported.STEP_S, "mm").axes[0].get_lines()
     assert len(lines) == len(reported.horizons().rmse)
     assert len({line.get_marker() for line in lines}) == len(lines)
     assert len({(line.get_color(), str(line._dash_pattern)) for line in lines}) == len(lines)
@@ -280,7 +285,7 @@ def test_a_curve_stands_out_from_white_paper_and_from_a_dark_screen(name):
 
 def test_convergence_shows_fitness_and_parameters_as_they_were_found():
     trace = reported.trace()
-    fitness, *parameters = figures.convergence(trace.phase1, "mm").axes
+    fitness, *parameters = sketch("convergence", trace.phase1, "mm").axes
     phase1 = trace.phase1
     np.testing.assert_array_equal(fitness.lines[0].get_xdata(), np.arange(1, 21))
     np.testing.assert_array_equal(fitness.lines[0].get_ydata(), [np.nan, *phase1.fitness[1:]])
@@ -293,7 +298,7 @@ def test_convergence_shows_fitness_and_parameters_as_they_were_found():
 
 def test_horizons_show_errors_over_seconds():
     known = reported.horizons()
-    lines = figures.horizons(known, 0.02, "mm").axes[0].get_lines()
+    lines = sketch("horizons", known, 0.02, "mm").axes[0].get_lines()
     assert len(lines) == len(known.rmse)
     for line, errors in zip(lines, known.rmse.values(), strict=True):
         np.testing.assert_array_equal(line.get_xdata(), 0.02 * np.array(known.steps))
@@ -301,18 +306,15 @@ def test_horizons_show_errors_over_seconds():
 
 
 def test_a_horizon_at_which_a_model_diverged_has_no_point():
-    line, _ = (
-        figures.horizons(Horizons((1, 2), {"greybox": (1.0, None), "persistence": (1.0, 2.0)}), 0.01, "mm")
-        .axes[0]
-        .lines
-    )
+    errors = Horizons((1, 2), {"greybox": (1.0, None), "persistence": (1.0, 2.0)})
+    line, _ = sketch("horizons", errors, 0.01, "mm").axes[0].lines
     np.testing.assert_array_equal(line.get_ydata(), [1.0, np.nan])
 
 
 @pytest.mark.parametrize("sizes", [(300,), (200, 200, 200)])
 def test_a_test_is_a_point_and_the_bar_is_the_root_of_their_mean_square(sizes):
     tests = reported.predictions(sizes)
-    axes = figures.errors_by_test(tests, "mm", RIVALS).axes[0]
+    axes = sketch("errors_by_test", tests, "mm", RIVALS).axes[0]
     points, bars = axes.get_lines()[::2], axes.get_lines()[1::2]
     for place, (model, point, bar) in enumerate(zip(RIVALS, points, bars, strict=True)):
         errors = [
@@ -330,7 +332,7 @@ def distribution():
     """Return errors of two models and the axes of their distribution."""
     rng = np.random.default_rng(4)
     rows = {"one_step": 0.1 + rng.standard_normal(4000), "free_run": rng.standard_t(3, 3000)}
-    return rows, figures.error_distribution(rows, "mm").axes
+    return rows, sketch("error_distribution", rows, "mm").axes
 
 
 def test_the_cumulative_curve_is_that_of_the_samples(distribution):
@@ -361,7 +363,7 @@ def test_the_histogram_has_the_area_of_the_share_of_samples_it_shows(distributio
 def test_the_bell_has_mean_and_spread_of_the_errors_and_an_area_of_one():
     errors = 2.0 + 0.25 * np.random.default_rng(0).standard_normal(5000)
     wide = np.concatenate([errors, 8.0 - errors, np.repeat([-40.0, 40.0], 50)])
-    above, _ = figures.error_distribution({"free_run": errors, "benchmark": wide}, "mm").axes
+    above, _ = sketch("error_distribution", {"free_run": errors, "benchmark": wide}, "mm").axes
     place, bell = above.get_lines()[0].get_data()
     # The far end of the axes lies over 100 spreads away; steps of 0.4 to 0.8 spreads leave the rule exact.
     assert above.get_xlim()[1] == pytest.approx(40)
@@ -373,7 +375,7 @@ def test_the_bell_has_mean_and_spread_of_the_errors_and_an_area_of_one():
 
 def test_outputs_show_each_test_without_its_first_sample_and_keep_its_extremes():
     tests = reported.predictions((2000, 1500, 1800))
-    above, below = figures.outputs(tests, "mm").axes
+    above, below = sketch("outputs", tests, "mm", PAPER).axes
     drawn = {"measured": tests.actual} | {
         LABELS[name]: tests.models[name] for name in ("one_step", "free_run", "benchmark")
     }
@@ -396,7 +398,8 @@ def test_outputs_show_each_test_without_its_first_sample_and_keep_its_extremes()
 
 def test_the_band_is_filled_between_its_ends_around_displacement_and_errors():
     tests = reported.predictions((300,))
-    for axes, middle in zip(figures.outputs(tests, "mm").axes, (tests.models["free_run"][0], 0), strict=True):
+    drawn = sketch("outputs", tests, "mm", PAPER).axes
+    for axes, middle in zip(drawn, (tests.models["free_run"][0], 0), strict=True):
         (filled,) = axes.collections
         corners = np.concatenate([path.vertices for path in filled.get_paths()])
         around = corners[:, 1] - np.interp(corners[:, 0], tests.time_s[0], np.broadcast_to(middle, 300))
@@ -405,7 +408,7 @@ def test_the_band_is_filled_between_its_ends_around_displacement_and_errors():
 
 def test_predicted_errors_show_what_the_benchmark_misses():
     tests = reported.predictions((200, 150))
-    actual, predicted = figures.predicted_errors({"validation": tests}, "mm").axes[0].get_lines()
+    actual, predicted = sketch("predicted_errors", {"validation": tests}, "mm").axes[0].get_lines()
 
     def joined(model):
         rows = zip(tests.models[model] if model else tests.actual, tests.models["benchmark"], strict=True)
@@ -422,7 +425,7 @@ def test_time_goes_on_from_test_to_test():
 
 
 def test_coverage_shows_shares_in_percent_over_seconds():
-    axes = figures.coverage(reported.bands(covered=0.81, ahead=0.93), 0.02).axes[0]
+    axes = sketch("coverage", reported.bands(covered=0.81, ahead=0.93), 0.02).axes[0]
     ahead, free, asked = axes.get_lines()
     np.testing.assert_allclose(ahead.get_xdata(), 0.02 * np.array(reported.STEPS))
     np.testing.assert_allclose(ahead.get_ydata(), 93)
@@ -432,7 +435,7 @@ def test_coverage_shows_shares_in_percent_over_seconds():
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.8, 1.0])
 def test_no_coverage_lies_outside_its_axes(share):
-    axes = figures.coverage(reported.bands(covered=share, ahead=1 - share), 0.01).axes[0]
+    axes = sketch("coverage", reported.bands(covered=share, ahead=1 - share), 0.01).axes[0]
     low, high = axes.get_ylim()
     for line in axes.get_lines():
         assert low <= min(line.get_ydata())
@@ -441,7 +444,7 @@ def test_no_coverage_lies_outside_its_axes(share):
 
 def test_correlations_show_what_was_found_and_its_bounds():
     found = reported.residuals()
-    above, below = figures.residual_correlations(found).axes
+    above, below = sketch("residual_correlations", found).axes
     for axes, name, bound in (
         (above, "autocorrelation", "autocorrelation_bounds"),
         (below, "cross_correlation", "cross_bounds"),
@@ -459,9 +462,8 @@ def test_correlations_show_what_was_found_and_its_bounds():
 
 def test_places_show_mean_and_spread_of_the_errors_in_each_bin():
     found = reported.residuals()
-    for axes, name in zip(
-        figures.residuals_by_variable(found, "mm", "A").axes, ("position", "speed", "command"), strict=True
-    ):
+    drawn = sketch("residuals_by_variable", found, "mm", "A").axes
+    for axes, name in zip(drawn, ("position", "speed", "command"), strict=True):
         bins = found.by_quantity[name].bins
         spreads, means = axes.get_lines()[0:-1:2], axes.get_lines()[1:-1:2]
         assert len(spreads) == len(means) == len(bins)
@@ -475,7 +477,7 @@ def test_places_show_mean_and_spread_of_the_errors_in_each_bin():
 
 def test_searches_show_every_end_and_the_run_in_the_middle():
     known = reported.searches()
-    went, ended = figures.searches(known, "mm").axes
+    went, ended = sketch("searches", known, "mm").axes
     for line, points, each in zip(went.get_lines(), ended.get_lines(), known, strict=True):
         np.testing.assert_array_equal(line.get_ydata()[1:], each.median_rmse[1:])
         assert (line.get_xdata()[0], line.get_xdata()[-1]) == (0, 100)
@@ -484,7 +486,7 @@ def test_searches_show_every_end_and_the_run_in_the_middle():
 
 def test_losses_show_both_parts_and_the_epoch_that_is_kept():
     trace = reported.trace().phase2
-    training, validation, kept = figures.losses(trace).axes[0].get_lines()
+    training, validation, kept = sketch("losses", trace).axes[0].get_lines()
     np.testing.assert_array_equal(training.get_ydata()[1:], trace.training_loss[1:])
     np.testing.assert_array_equal(validation.get_ydata(), trace.validation_loss)
     assert validation.get_xdata()[0] == 1
@@ -493,7 +495,7 @@ def test_losses_show_both_parts_and_the_epoch_that_is_kept():
 
 def test_structures_show_both_errors_in_the_order_that_was_given():
     candidates = reported.trace(candidates=4).candidates
-    axes = figures.structures(candidates, "mm").axes[0]
+    axes = sketch("structures", candidates, "mm", None).axes[0]
     by_place = sorted(zip(axes.get_yticks(), (t.get_text() for t in axes.get_yticklabels()), strict=True))
     names = [f"{each.name}{' (chosen)' if each.chosen else ''}" for each in candidates]
     assert [text for _, text in by_place[::-1]] == [fill(name, 24) for name in names]
@@ -513,7 +515,7 @@ def marks(axes):
 
 def test_an_interval_runs_from_end_to_end_and_open_ends_are_arrows():
     estimates = reported.ESTIMATES
-    for axes, each in zip(figures.intervals(reported.ESTIMATES).axes, estimates, strict=True):
+    for axes, each in zip(sketch("intervals", "title", reported.ESTIMATES).axes, estimates, strict=True):
         bar = axes.get_lines()[0].get_xdata()
         edge = axes.get_xlim()
         ends = [place if end is None else end for place, end in zip(edge, each.interval, strict=True)]
@@ -527,7 +529,7 @@ def test_an_interval_runs_from_end_to_end_and_open_ends_are_arrows():
 
 def test_an_undetermined_parameter_shows_its_best_fit_on_a_grey_interval():
     wide = reported.estimate(determined=False, interval=(2.0, 700.0), verdict="not determined")
-    (axes,) = figures.intervals([wide]).axes
+    (axes,) = sketch("intervals", "title", [wide]).axes
     assert marks(axes) == ["|"]
     assert axes.get_lines()[0].get_color() == COLOURS["faint"] != COLOURS["benchmark"]
 
@@ -535,7 +537,7 @@ def test_an_undetermined_parameter_shows_its_best_fit_on_a_grey_interval():
 @pytest.mark.parametrize("interval", [(-0.2, 0.3), (0.0, 0.3), (None, 0.1), (-0.2, None), (0.0, 0.0)])
 def test_an_interval_around_zero_is_drawn_on_a_plain_scale(interval):
     around = reported.estimate("shape", unit="1", value=0.0, linear=True, lower=-1.0, interval=interval)
-    (axes,) = figures.intervals([around]).axes
+    (axes,) = sketch("intervals", "title", [around]).axes
     assert axes.get_xscale() == "linear"
     assert axes.get_xlim()[0] < 0.0 < axes.get_xlim()[1]
 
@@ -543,7 +545,7 @@ def test_an_interval_around_zero_is_drawn_on_a_plain_scale(interval):
 @pytest.mark.parametrize("value", [1e-4, 0.08, 1.0, 30.0, 1e5])
 def test_an_interval_has_numbers_along_its_scale_that_can_be_told_apart(value):
     for error in (0.003 * value, 0.03 * value, 0.3 * value):
-        figure = figures.intervals([reported.estimate(value=value, error=error)])
+        figure = sketch("intervals", "title", [reported.estimate(value=value, error=error)])
         figure.draw_without_rendering()
         shown = ticks(figure.axes[0], "x")
         assert len(shown) >= 2
@@ -556,7 +558,7 @@ def test_an_interval_has_numbers_along_its_scale_that_can_be_told_apart(value):
 def test_the_map_of_the_valve_has_gain_and_dead_zone_of_the_benchmark(pressed, ramp):
     channel = handmade.channel(LIFTING)
     test = pressed(*[0.4, 0.5, 0.6] * 8)
-    axes = figures.valve_map(valve_map(channel, [test], [ramp]), "mm", "A").axes[0]
+    axes = sketch("valve_map", valve_map(channel, [test], [ramp]), "mm", "A").axes[0]
     lines = {line.get_label(): line for line in axes.get_lines()}
     zone, gain = handmade.DEAD_ZONES[LIFTING], handmade.GAINS[LIFTING]
 
@@ -598,7 +600,7 @@ def test_the_map_of_the_valve_waits_until_a_slow_speed_has_settled(make_record):
 
 def test_the_speed_map_shows_speeds_bands_and_measured_points_for_each_load():
     known = reported.characteristics()
-    axes = figures.speed_map(known).axes[0]
+    axes = sketch("speed_map", known).axes[0]
     lines = {line.get_label(): line for line in axes.get_lines()}
     assert set(lines) == {"90", "120", "150", "measured", "dead zone"}
     assert set(lines["dead zone"].get_xdata()) == {known.dead_zone.value}
@@ -618,14 +620,14 @@ def test_the_speed_map_shows_speeds_bands_and_measured_points_for_each_load():
 def test_the_map_of_the_valve_needs_no_ramp_and_no_command_that_stands(make_record):
     command = 0.4 + 0.1 * np.sin(np.arange(200))
     moving = make_record(100 + np.arange(200.0), command, 0 * command)
-    axes = figures.valve_map(valve_map(handmade.channel(LIFTING), [moving], []), "mm", "A").axes[0]
+    axes = sketch("valve_map", valve_map(handmade.channel(LIFTING), [moving], []), "mm", "A").axes[0]
     labels = {line.get_label() for line in axes.get_lines()}
     assert {"benchmark", "dead zone"} <= labels
     assert not {"ramps", "tests"} & labels
 
 
 def test_a_ramp_is_drawn_up_to_where_motion_is_plain(ramp):
-    axes = figures.dead_zone([ramp], LIFTING, 0.35, 0.01, "mm", "A").axes[0]
+    axes = sketch("dead_zone", [ramp], LIFTING, ZONE, "mm", "A").axes[0]
     way, value = axes.get_lines()
     assert set(value.get_xdata()) == {0.35}
     command, moved = way.get_data()
@@ -639,7 +641,7 @@ def test_a_ramp_is_drawn_up_to_where_motion_is_plain(ramp):
 
 
 def test_a_dead_zone_of_one_ramp_has_no_spread(ramp):
-    assert not figures.dead_zone([ramp], LIFTING, 0.35, None, "mm", "A").axes[0].patches
+    assert not sketch("dead_zone", [ramp], LIFTING, replace(ZONE, spread=None), "mm", "A").axes[0].patches
 
 
 # --- what is not there, or not finite -----------------------------------------------------------------------
@@ -657,9 +659,9 @@ def with_errors(value, model="free_run", sizes=(300, 250)):
 def test_a_model_that_diverged_is_drawn_without_a_warning(value, sizes):
     tests = with_errors(value, sizes=sizes)
     for figure in (
-        figures.outputs(tests, "mm"),
-        figures.errors_by_test(tests, "mm", RIVALS),
-        figures.predicted_errors({"test": with_errors(value, "one_step", sizes)}, "mm"),
+        sketch("outputs", tests, "mm", PAPER),
+        sketch("errors_by_test", tests, "mm", RIVALS),
+        sketch("predicted_errors", {"test": with_errors(value, "one_step", sizes)}, "mm"),
     ):
         assert svg(figure)
 
@@ -668,43 +670,44 @@ def test_a_model_that_diverged_is_drawn_without_a_warning(value, sizes):
 def test_a_distribution_leaves_the_errors_of_what_diverged_out(value):
     tests = with_errors(value)
     rows = {name: tests.errors(name) for name in ("free_run", "benchmark")}
-    above, below = figures.error_distribution(rows, "mm").axes
-    alone, _ = figures.error_distribution({"benchmark": rows["benchmark"]}, "mm").axes
+    above, below = sketch("error_distribution", rows, "mm").axes
+    alone, _ = sketch("error_distribution", {"benchmark": rows["benchmark"]}, "mm").axes
     assert above.get_xlim() == alone.get_xlim()
     assert sum(len(line.get_xdata()) > 0 for line in below.get_lines()) == 1
-    assert svg(figures.error_distribution({"free_run": rows["free_run"]}, "mm"))
+    assert svg(sketch("error_distribution", {"free_run": rows["free_run"]}, "mm"))
 
 
 def without_finite_fitness():
     search = replace(reported.trace().phase1, fitness=(None,) * 20)
-    return figures.convergence(search, "mm")
+    return sketch("convergence", search, "mm")
 
 
 def without_an_end():
     whale, *others = reported.searches()
     failed = replace(whale, rmse=(None,) * 3, median_rmse=(None,), median_values=())
-    return figures.searches([failed, *others], "mm")
+    return sketch("searches", [failed, *others], "mm")
 
 
 SPARSE = {
-    "one level": lambda: figures.speed_map(
-        replace(reported.characteristics(), speed_map=reported.characteristics().speed_map[:1], measured=())
+    "one level": lambda: sketch(
+        "speed_map",
+        replace(reported.characteristics(), speed_map=reported.characteristics().speed_map[:1], measured=()),
     ),
-    "one test": lambda: figures.outputs(reported.predictions((30,), band=False), "mm"),
-    "one model": lambda: figures.errors_by_test(reported.predictions((30,)), "mm", ["free_run"]),
-    "constant errors": lambda: figures.error_distribution({"free_run": np.full(100, 0.1)}, "mm"),
-    "errors of zero": lambda: figures.error_distribution({"free_run": np.zeros(100)}, "mm"),
-    "one error": lambda: figures.error_distribution({"free_run": np.ones(1)}, "mm"),
-    "one horizon": lambda: figures.horizons(Horizons((1,), {"greybox": (0.1,)}), 0.01, "mm"),
-    "one parameter": lambda: figures.intervals([reported.estimate()]),
+    "one test": lambda: sketch("outputs", reported.predictions((30,), band=False), "mm", PAPER),
+    "one model": lambda: sketch("errors_by_test", reported.predictions((30,)), "mm", ["free_run"]),
+    "constant errors": lambda: sketch("error_distribution", {"free_run": np.full(100, 0.1)}, "mm"),
+    "errors of zero": lambda: sketch("error_distribution", {"free_run": np.zeros(100)}, "mm"),
+    "one error": lambda: sketch("error_distribution", {"free_run": np.ones(1)}, "mm"),
+    "one horizon": lambda: sketch("horizons", Horizons((1,), {"greybox": (0.1,)}), 0.01, "mm"),
+    "one parameter": lambda: sketch("intervals", "title", [reported.estimate()]),
     "no finite fitness": without_finite_fitness,
     "a search without an end": without_an_end,
-    "one candidate": lambda: figures.structures(reported.trace(candidates=1).candidates, "mm"),
-    "two epochs": lambda: figures.losses(reported.trace(iterations=2).phase2),
-    "errors that stand": lambda: figures.residual_correlations(reported.residuals(level=0.1)),
-    "no errors": lambda: figures.residual_correlations(reported.residuals(level=0.0)),
-    "errors that stand by place": lambda: figures.residuals_by_variable(
-        reported.residuals(level=0.1), "mm", "A"
+    "one candidate": lambda: sketch("structures", reported.trace(candidates=1).candidates, "mm", None),
+    "two epochs": lambda: sketch("losses", reported.trace(iterations=2).phase2),
+    "errors that stand": lambda: sketch("residual_correlations", reported.residuals(level=0.1)),
+    "no errors": lambda: sketch("residual_correlations", reported.residuals(level=0.0)),
+    "errors that stand by place": lambda: sketch(
+        "residuals_by_variable", reported.residuals(level=0.1), "mm", "A"
     ),
 }
 
@@ -715,7 +718,7 @@ def test_little_is_drawn_without_a_warning(drawn):
 
 
 def test_errors_that_do_not_spread_are_still_in_the_legend():
-    figure = figures.error_distribution({"free_run": np.full(9, 0.1), "one_step": np.arange(9.0)}, "mm")
+    figure = sketch("error_distribution", {"free_run": np.full(9, 0.1), "one_step": np.arange(9.0)}, "mm")
     assert len(figure.legends[0].get_texts()) == 2
 
 
@@ -754,7 +757,7 @@ def test_a_thinned_curve_lies_nowhere_far_from_the_whole(samples, seed):
 
 def test_no_two_compared_models_look_alike_even_without_colours():
     rmse = dict.fromkeys(COMPARED, (1.0, 2.0))
-    axes = figures.horizons(Horizons((1, 2), {"persistence": (1.0, 2.0), **rmse}), 0.01, "mm").axes[0]
+    axes = sketch("horizons", Horizons((1, 2), {"persistence": (1.0, 2.0), **rmse}), 0.01, "mm").axes[0]
     lines = axes.get_lines()
     assert len({line.get_marker() for line in lines}) == len(lines) == 9
     assert len({str(line._dash_pattern) for line in lines}) == len(COMPARED)  # persistence is solid, as A
@@ -763,4 +766,4 @@ def test_no_two_compared_models_look_alike_even_without_colours():
 
 def test_a_parameter_without_a_symbol_is_called_by_its_name():
     trace = reported.trace(reported.estimate("speed_along", symbol="", unit="1/mm", linear=True))
-    assert figures.convergence(trace.phase1, "mm").axes[1].get_ylabel() == "speed along\n/ 1/mm"
+    assert sketch("convergence", trace.phase1, "mm").axes[1].get_ylabel() == "speed along\n/ 1/mm"

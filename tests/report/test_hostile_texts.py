@@ -31,7 +31,7 @@ from hitchid.report.document import (
     Table,
     Text,
 )
-from hitchid.report.figures import trust
+from hitchid.report.figures import loads as loads_figure
 from hitchid.report.svg import svg
 from hitchid.report.write import render
 from hitchid.validation import Check, Predictions
@@ -186,7 +186,7 @@ def test_names_of_tests_and_machines_are_no_mathematics():
     faults = {MATHEMATICS.index("$\\frac$"): {"gain_factor": 0.8}}
     machines = fleet_rows.fleet(len(MATHEMATICS), faults=faults, name=MATHEMATICS.__getitem__)
     for drawn in (
-        trust.loads(LoadScatter(0.03, (0.01, 0.05), 0.1, loads)),
+        loads_figure("name", LoadScatter(0.03, (0.01, 0.05), 0.1, loads)).figure,
         figures.verdicts(compare_fleet(machines)),
     ):
         root = ElementTree.fromstring(svg(drawn))  # noqa: S314 - our own

@@ -13,15 +13,15 @@ from matplotlib.figure import Figure
 import reported
 from hitchid._support.inert import printable
 from hitchid.plots.style import COLOURS, SHADES
-from hitchid.report import figures
 from hitchid.report.svg import inline_svg, svg
+from reported import PAPER, sketch
 
 SVG, XLINK = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xlink}"
 DRAWN = {
-    "outputs": lambda: figures.outputs(reported.predictions((900, 800)), "mm"),
-    "intervals": lambda: figures.intervals(reported.ESTIMATES),
-    "correlations": lambda: figures.residual_correlations(reported.residuals()),
-    "distribution": lambda: figures.error_distribution({"free_run": np.arange(9.0)}, "mm"),
+    "outputs": lambda: sketch("outputs", reported.predictions((900, 800)), "mm", PAPER),
+    "intervals": lambda: sketch("intervals", "title", reported.ESTIMATES),
+    "correlations": lambda: sketch("residual_correlations", reported.residuals()),
+    "distribution": lambda: sketch("error_distribution", {"free_run": np.arange(9.0)}, "mm"),
 }
 
 

@@ -21,8 +21,7 @@ from hitchid.logs.campaign import Campaign
 from hitchid.logs.record import CYCLE, Record
 from hitchid.model import Hitch
 from hitchid.validation import ModelFigures, Predictions, RunFigures, Validation
-from hitchid.validation.leaderboard import value_text
-from hitchid.validation.results import FREE_RUN, GREYBOX, ONE_STEP
+from hitchid.validation.results import FREE_RUN, GREYBOX, ONE_STEP, value_text
 from hitchid.validation.validate import validate
 
 if TYPE_CHECKING:

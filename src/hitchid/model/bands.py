@@ -73,9 +73,8 @@ class PredictionSpread:
                 long enough or nothing was calibrated, g_h and m_h grow in proportion to h.
             movement: m, in the displacement's unit, any shape.
         """
-        growth, typical = (
-            self._beyond(horizon) * self._at(horizon, values) for values in (self.growths, self.movements)
-        )
+        beyond = max(1.0, horizon / self.horizons[-1])
+        growth, typical = (beyond * self._at(horizon, values) for values in (self.growths, self.movements))
         return np.asarray(np.hypot(self.noise, growth * (np.abs(movement) / typical) ** self.exponent))
 
     def multiplier(self, horizon: int, coverage: float, levels: Sequence[float]) -> float:
@@ -84,10 +83,6 @@ class PredictionSpread:
 
     def _at(self, horizon: int, values: Sequence[float]) -> float:
         return float(np.interp(np.log(horizon), np.log(self.horizons), values))
-
-    def _beyond(self, horizon: int) -> float:
-        """Return how many times the last horizon a horizon is, at least 1."""
-        return max(1.0, horizon / self.horizons[-1])
 
 
 @short_repr

@@ -229,9 +229,16 @@ def _read_compensator(
     if described is None:
         return None
     check_size(tensors, described.hidden**2)
-    return fill(
-        _empty_compensator(described.hidden, described.window, described.max_horizon), tensors, prefix
+    count = len(FEATURES)
+    skeleton = Compensator(
+        Lstm.init(jax.random.key(0), count, described.hidden),
+        jnp.zeros(count),
+        jnp.ones(count),
+        jnp.ones(()),
+        described.window,
+        described.max_horizon,
     )
+    return fill(skeleton, tensors, prefix)
 
 
 def _read_speed_compensator(
@@ -239,8 +246,13 @@ def _read_speed_compensator(
 ) -> SpeedCompensator | None:
     if described is None:
         return None
-    check_size(tensors, described.members * described.units)
-    skeleton = _empty_speed_compensator(described.members, described.units, sign=sign, loads=loads)
+    members, units = described.members, described.units
+    check_size(tensors, members * units)
+    networks = SpeedNetworks(
+        jnp.zeros((members, units, SIGNALS + loads)), jnp.zeros((members, units)), jnp.zeros((members, units))
+    )
+    scales = (jnp.ones(()), jnp.ones(()), jnp.ones(()))
+    skeleton = SpeedCompensator(networks, *scales, _empty_range(loads), sign)
     return fill(skeleton, tensors, prefix)
 
 
@@ -258,30 +270,10 @@ def _describe_scheduling(benchmark: PhysicalModel) -> dict[str, object] | None:
     }
 
 
-def _empty_compensator(hidden: int, window: int, max_horizon: int) -> Compensator:
-    count = len(FEATURES)
-    return Compensator(
-        Lstm.init(jax.random.key(0), count, hidden),
-        jnp.zeros(count),
-        jnp.ones(count),
-        jnp.ones(()),
-        window,
-        max_horizon,
-    )
-
-
 def _empty_range(loads: int) -> OperatingRange:
     """Return a range to be filled, of so many covariates."""
     unbounded = SignalRange(jnp.full(loads, -jnp.inf), jnp.full(loads, jnp.inf))
     return replace(OperatingRange.unbounded(), load=unbounded)
-
-
-def _empty_speed_compensator(members: int, units: int, *, sign: int, loads: int) -> SpeedCompensator:
-    networks = SpeedNetworks(
-        jnp.zeros((members, units, SIGNALS + loads)), jnp.zeros((members, units)), jnp.zeros((members, units))
-    )
-    scales = (jnp.ones(()), jnp.ones(()), jnp.ones(()))
-    return SpeedCompensator(networks, *scales, _empty_range(loads), sign)
 
 
 SUBSETS = ("identification", "validation", "held_out")
@@ -290,6 +282,7 @@ SUBSETS = ("identification", "validation", "held_out")
 def describe(hitch: Hitch) -> dict[str, object]:
     """Return the model without its trained arrays as content for JSON."""
     provenance = hitch.provenance
+    adapted = {direction: dict(changes) for direction, changes in provenance.adapted.items()}
     return {
         "schema": SCHEMA,
         "kind": ModelDescription.KIND,
@@ -311,14 +304,9 @@ def describe(hitch: Hitch) -> dict[str, object]:
         "settings": dict(provenance.settings),
         "versions": dict(provenance.versions),
         "set_by_hand": {direction: dict(values) for direction, values in provenance.set_by_hand.items()},
-        **_describe_adapted(provenance),
+        # Nothing of a model as identified, whose digest stays.
+        **({"adapted": adapted} if adapted else {}),
     }
-
-
-def _describe_adapted(provenance: Provenance) -> dict[str, object]:
-    """Return what adaptation changed; nothing of a model as identified, whose digest stays."""
-    adapted = {direction: dict(changes) for direction, changes in provenance.adapted.items()}
-    return {"adapted": adapted} if adapted else {}
 
 
 def deployed_tensors(hitch: Hitch) -> dict[str, np.ndarray]:

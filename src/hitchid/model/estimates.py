@@ -215,9 +215,7 @@ class SpeedPoint:
 
     def scaled(self, factor: float) -> "SpeedPoint":
         """Return the point with a factor on the gain."""
-        lower, upper = self.interval
-        scaled_interval = None if lower is None else factor * lower, None if upper is None else factor * upper
-        return replace(self, speed=factor * self.speed, interval=scaled_interval)
+        return replace(self, speed=factor * self.speed, interval=_scale_interval(self.interval, factor))
 
 
 @short_repr
@@ -262,6 +260,17 @@ class Characteristics:
     response_time: Quantity | None
     speed_map: tuple[SpeedPoint, ...]
     measured: tuple[MeasuredSpeed, ...]
+
+    @property
+    def quantities(self) -> dict[str, tuple[Quantity, str]]:
+        """Dead zone, command at which flow begins, delay and response time, as far as known, with units."""
+        quantities = {
+            "dead_zone": (self.dead_zone, self.command_unit),
+            "flow_begins": (self.opening, self.command_unit),
+            "delay": (self.delay, "s"),
+            "response_time": (self.response_time, "s"),
+        }
+        return {name: (quantity, unit) for name, (quantity, unit) in quantities.items() if quantity}
 
     def scaled(self, factor: float) -> "Characteristics":
         """Return the characteristics with a factor on the gain; measured speeds are not changed."""

@@ -54,7 +54,18 @@ from hitchid.model.schema_checks import named
 
 def describe_rivals(rivals: Mapping[str, Rivals]) -> dict[str, object]:
     """Return the rivals of each direction without their arrays as content for JSON."""
-    return {direction: _describe(of_direction) for direction, of_direction in rivals.items()}
+    return {
+        direction: {
+            "baselines": list(fitted.baselines),
+            "covariates": list(fitted.covariates),
+            "paper": None if fitted.paper is None else describe_channel(fitted.paper),
+            "paper_parameters": None if fitted.paper_estimates is None else asdict(fitted.paper_estimates),
+            "searches": [asdict(search) for search in fitted.searches],
+            "notices": list(fitted.notices),
+            "trained": fitted.trained,
+        }
+        for direction, fitted in rivals.items()
+    }
 
 
 def rivals_tensors(rivals: Mapping[str, Rivals]) -> dict[str, np.ndarray]:
@@ -75,45 +86,30 @@ def read_rivals(described: Mapping[Direction, RivalsOfDirection], tensors: Tenso
         ValueError: the tensors are not those of rivals, or a number in them is none that a fit gives.
         InputError: a baseline is not installed.
     """
-    return {direction: _read_rivals(direction, rivals, tensors) for direction, rivals in described.items()}
-
-
-def _describe(rivals: Rivals) -> dict[str, object]:
-    paper, estimates = rivals.paper, rivals.paper_estimates
-    return {
-        "baselines": list(rivals.baselines),
-        "covariates": list(rivals.covariates),
-        "paper": None if paper is None else describe_channel(paper),
-        "paper_parameters": None if estimates is None else asdict(estimates),
-        "searches": [asdict(search) for search in rivals.searches],
-        "notices": list(rivals.notices),
-        "trained": rivals.trained,
-    }
-
-
-def _read_rivals(direction: str, described: RivalsOfDirection, tensors: Tensors) -> Rivals:
     # Imported here: baselines import global searches and optimisers, which a deployed model does not need.
     from hitchid.baselines.registry import baseline_named
 
-    baselines = {}
-    for name in described.baselines:
-        prefix = f"{direction}/baselines/{name}"
-        baseline, shapes = baseline_named(name), shapes_of(tensors, prefix)
-        with named(prefix):
-            skeleton = baseline.skeleton(shapes)
-        baselines[name] = fill(skeleton, tensors, prefix)
-        with named(prefix):
-            baselines[name].check(len(described.covariates) or 1)
-    paper = described.paper
-    return Rivals(
-        baselines,
-        None if paper is None else read_channel(direction, paper, tensors, f"{direction}/paper"),
-        described.paper_parameters,
-        described.searches,
-        described.covariates,
-        described.notices,
-        described.trained,
-    )
+    rivals = {}
+    for direction, of_direction in described.items():
+        baselines, paper = {}, of_direction.paper
+        for name in of_direction.baselines:
+            prefix = f"{direction}/baselines/{name}"
+            baseline, shapes = baseline_named(name), shapes_of(tensors, prefix)
+            with named(prefix):
+                skeleton = baseline.skeleton(shapes)
+            baselines[name] = fill(skeleton, tensors, prefix)
+            with named(prefix):
+                baselines[name].check(len(of_direction.covariates) or 1)
+        rivals[direction] = Rivals(
+            baselines,
+            None if paper is None else read_channel(direction, paper, tensors, f"{direction}/paper"),
+            of_direction.paper_parameters,
+            of_direction.searches,
+            of_direction.covariates,
+            of_direction.notices,
+            of_direction.trained,
+        )
+    return rivals
 
 
 MODEL_FILE = "model.json"

@@ -21,9 +21,9 @@ from hitchid.errors import InputError
 from hitchid.handover.linear import Handover
 from hitchid.logs.kinds import CommandThreshold
 from hitchid.logs.record import DIRECTIONS, Record
-from hitchid.model import pickling, plotting, simulation, thresholds
+from hitchid.model import pickling, plotting, simulation
 from hitchid.model.bands import Band, Bands, bands_by_channel
-from hitchid.model.channel import Channel
+from hitchid.model.channel import Channel, command_thresholds, in_log_units
 from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
 from hitchid.model.estimates import Uncertainty
 from hitchid.model.free_run import last_measured, multi_step_predictions
@@ -119,7 +119,7 @@ class Hitch(Value, Summarised, Handover):
             InputError: a unit is of another dimension than the model's.
         """
         checks.instance(units, Mapping, "units", "role to unit")
-        return thresholds.command_thresholds(self.channels, self.units, units)
+        return command_thresholds(self.channels, self.units, units)
 
     def segmentation_dead_zones(self, units: Mapping[str, str]) -> dict[str, float]:
         """Return direction to the dead zone with which mixed cycles are cut into strokes.
@@ -132,7 +132,7 @@ class Hitch(Value, Summarised, Handover):
         """
         checks.instance(units, Mapping, "units", "role to unit")
         dead_zones = self.provenance.segmentation_dead_zones or self.dead_zones
-        return thresholds.in_log_units(dead_zones, self.units, units)
+        return in_log_units(dead_zones, self.units, units)
 
     @double_precision
     def init_state(

@@ -285,14 +285,14 @@ class _Entries(NamedTuple):
         return ErrorEstimate(jnp.stack(self.mean), covariance, jnp.stack(self.gain))
 
 
-def _is_zero(entry: Array | float) -> bool:
-    return isinstance(entry, float) and entry == 0.0
-
-
 def _product(matrix: Matrix, vector: Iterable[Array]) -> list[Float[Array, "*b"]]:
     """Return A x, without the zeros of A."""
     return [
-        reduce(add, (a * x for a, x in zip(row, vector, strict=True) if not _is_zero(a))) for row in matrix
+        reduce(
+            add,
+            (a * x for a, x in zip(row, vector, strict=True) if not (isinstance(a, float) and a == 0.0)),
+        )
+        for row in matrix
     ]
 
 

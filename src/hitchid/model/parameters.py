@@ -18,8 +18,7 @@ from hitchid.errors import InputError
 from hitchid.logs.record import COMMAND, DISPLACEMENT
 from hitchid.model.channel import Channel
 from hitchid.model.estimates import NOT_ASSESSED, Estimate, Estimates, Interval, Uncertainty
-from hitchid.networks.operating_range import OperatingRange
-from hitchid.structures import DEAD_TIME, ModelOption, Parameter, PhysicalModel, Scale
+from hitchid.structures import DEAD_TIME, ModelOption, Parameter, Scale
 from hitchid.structures.nonlinearity import NEUTRAL
 
 if TYPE_CHECKING:
@@ -179,7 +178,15 @@ def _rows(
     channel: Channel, units: Mapping[str, str], uncertainty: Uncertainty | None, set_by_hand: frozenset[str]
 ) -> Iterator[ParameterRow]:
     """Yield the rows of one direction."""
-    known = _known(channel, uncertainty)
+    known: dict[str, tuple[float | None, Interval, str]] = {}
+    if uncertainty is not None:
+        known = {p.name: (p.error, p.interval, p.verdict) for p in uncertainty.benchmark.parameters}
+        characteristics = uncertainty.characteristics
+        # Of a dead zone that was changed since, the interval is not known.
+        if characteristics is not None and isclose(characteristics.dead_zone.value, channel.dead_zone):
+            interval, value = characteristics.dead_zone.interval, characteristics.dead_zone.value
+            verdict = "determined" if characteristics.dead_zone.determined else "not determined"
+            known[DEAD_ZONE.name] = (None, interval, "as given" if interval == (value, value) else verdict)
     values = values_of(channel)
     template = {"x": units[DISPLACEMENT], "u": units[COMMAND[channel.direction]]}
     for name, parameter in definitions(channel, uncertainty).items():
@@ -197,21 +204,6 @@ def _rows(
             interval,
             SET_BY_HAND if name in set_by_hand else verdict,
         )
-
-
-def _known(
-    channel: Channel, uncertainty: Uncertainty | None
-) -> dict[str, tuple[float | None, Interval, str]]:
-    """Return parameter name to standard error, interval and verdict, where they are known."""
-    if uncertainty is None:
-        return {}
-    known = {p.name: (p.error, p.interval, p.verdict) for p in uncertainty.benchmark.parameters}
-    characteristics = uncertainty.characteristics
-    if characteristics is not None and isclose(characteristics.dead_zone.value, channel.dead_zone):
-        interval, value = characteristics.dead_zone.interval, characteristics.dead_zone.value
-        verdict = "determined" if characteristics.dead_zone.determined else "not determined"
-        known[DEAD_ZONE.name] = (None, interval, "as given" if interval == (value, value) else verdict)
-    return known
 
 
 def _cells(row: ParameterRow) -> tuple[str, ...]:
@@ -294,33 +286,24 @@ def _admissible(
 
 def _changed(channel: Channel, values: Mapping[str, float]) -> Channel:
     """Return a channel with other values, without compensators; its range covers the same commands."""
-    dead_zone = values.get(DEAD_ZONE.name, channel.dead_zone)
+    benchmark, dead_zone = channel.benchmark, values.get(DEAD_ZONE.name, channel.dead_zone)
+    current = zip(benchmark.parameters, map(float, benchmark.parameter_vector), strict=True)
+    row = [values.get(parameter.name, value) for parameter, value in current]
+    # Effective commands move by what the dead zone moves; closed valves stay in the range.
+    command, shift = channel.operating_range.command, channel.dead_zone - dead_zone
+    lowest = jnp.where(command.lowest > 0, jnp.maximum(command.lowest + shift, 0.0), command.lowest)
+    ends = (lowest, command.highest + shift)
+    operating_range = eqx.tree_at(
+        lambda tree: (tree.command.lowest, tree.command.highest), channel.operating_range, ends
+    )
     return replace(
         channel,
         dead_zone=dead_zone,
-        benchmark=_changed_benchmark(channel.benchmark, values),
-        operating_range=_shifted(channel.operating_range, channel.dead_zone - dead_zone),
+        benchmark=benchmark.with_parameter_vector(jnp.asarray(row)),
+        operating_range=operating_range,
         compensator=None,
         speed_compensator=None,
     )
-
-
-def _changed_benchmark(benchmark: PhysicalModel, values: Mapping[str, float]) -> PhysicalModel:
-    row = [
-        values.get(parameter.name, current)
-        for parameter, current in zip(
-            benchmark.parameters, map(float, benchmark.parameter_vector), strict=True
-        )
-    ]
-    return benchmark.with_parameter_vector(jnp.asarray(row))
-
-
-def _shifted(operating_range: OperatingRange, shift: float) -> OperatingRange:
-    """Return the range with effective commands moved by a shift; closed valves stay in it."""
-    command = operating_range.command
-    lowest = jnp.where(command.lowest > 0, jnp.maximum(command.lowest + shift, 0.0), command.lowest)
-    ends = (lowest, command.highest + shift)
-    return eqx.tree_at(lambda tree: (tree.command.lowest, tree.command.highest), operating_range, ends)
 
 
 def _without_intervals(estimates: Estimates, values: Mapping[str, float]) -> Estimates:

@@ -54,7 +54,12 @@ def plot_speed_map(model: "Hitch", axes: "Axes | Sequence[Axes] | np.ndarray | N
             else:
                 draw_characteristics(each, known)
             if axes is None:
-                each.set_title(_map_title(model, direction, known), loc="left")
+                title = direction
+                if known is not None:
+                    unit = f" / {model.units[known.load]}" if known.load and known.load in model.units else ""
+                    load = "" if known.load is None else f", by {known.load}{unit}"
+                    title = f"{direction}{load}, 95 % bands"
+                each.set_title(title, loc="left")
     return drawn
 
 
@@ -76,16 +81,6 @@ def plot_simulation(
         shown = dict.fromkeys(units[COMMAND[direction]] for direction in commands)
         draw_commands(drawn[1], simulation.model_time_s, commands, ", ".join(shown))
     return drawn
-
-
-def _map_title(model: "Hitch", direction: str, known: Characteristics | None) -> str:
-    if known is None:
-        return direction
-    load = ""
-    if known.load is not None:
-        unit = f" / {model.units[known.load]}" if known.load in model.units else ""
-        load = f", by {known.load}{unit}"
-    return f"{direction}{load}, 95 % bands"
 
 
 def draw_characteristics(axes: "Axes", characteristics: Characteristics) -> None:
@@ -200,7 +195,8 @@ def plot_bode(
         vectors = draws_of(model, name, seed)
         response = responses.frequency_response(channel, frequencies, command, vectors)
         label = name if vectors is None else f"{name}, 95 % band"
-        decibels, degrees = response.magnitude.map(_decibels), response.phase_rad.map(np.rad2deg)
+        decibels = response.magnitude.map(lambda magnitude: 20 * np.log10(magnitude))
+        degrees = response.phase_rad.map(np.rad2deg)
         magnitudes.append(BandedCurve(label, colour, frequencies, decibels))
         phases.append(BandedCurve(None, colour, frequencies, degrees))
     with canvas(axes, 2, height_in=BODE_IN, sharex=True) as drawn:
@@ -272,7 +268,3 @@ def _step_responses(
         duration_s = responses.default_duration_s(channel, model.step_s)
     checks.number(duration_s, "duration_s", above=0.0)
     return responses.step_responses(channel, levels, duration_s, draws_of(model, direction, seed))
-
-
-def _decibels(magnitude: np.ndarray) -> np.ndarray:
-    return 20 * np.log10(magnitude)

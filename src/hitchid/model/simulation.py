@@ -62,9 +62,8 @@ def to_model_units(
             f"the model has channels for {' and '.join(directions)}"
         )
     converted = record.convert({role: unit for role, unit in units.items() if role in record.signals})
-    resampled = (
-        converted if _same_clock(converted.step_s, step_s, len(converted)) else converted.resample(step_s)
-    )
+    shift_s = abs(converted.step_s - step_s) * len(converted)
+    resampled = converted if shift_s <= MAX_CLOCK_SHIFT * step_s else converted.resample(step_s)
     scales = full_scales([record])
     for direction in record.directions:
         active = np.abs(record.command(direction)) > ACTIVE_FRACTION * scales[direction]
@@ -134,10 +133,6 @@ def condition_before_motion(
     return InitialCondition(
         np.broadcast_to(displacement, runs), np.broadcast_to(rows, (*runs, rows.shape[-1]))
     )
-
-
-def _same_clock(step_s: float, wanted_s: float, samples: int) -> bool:
-    return abs(step_s - wanted_s) * samples <= MAX_CLOCK_SHIFT * wanted_s
 
 
 # Where a free run is outside the operating range of the identification tests.

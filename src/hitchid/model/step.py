@@ -49,8 +49,10 @@ class Packing:
     def __init__(self, like: HitchState) -> None:
         numbers = like._replace(hidden=None)
         self._unravel = unravel(numbers)
+        # Where these fields begin in the concatenated numbers.
         self._mode, self._both_valves_active = (
-            _position(numbers, name) for name in ("mode", "both_valves_active")
+            sum(leaf.size for leaf in jax.tree.leaves(numbers[: numbers._fields.index(name)]))
+            for name in ("mode", "both_valves_active")
         )
 
     def pack(self, state: HitchState) -> Packed:
@@ -90,12 +92,6 @@ def with_numbers(dynamics: HitchDynamics, numbers: Float[Array, " p"]) -> HitchD
     """Return dynamics whose physical models have other numbers, as `ravel_pytree` orders them."""
     models = ravel_pytree(dynamics.discrete_models)[1](numbers)
     return eqx.tree_at(lambda tree: tree.discrete_models, dynamics, models)
-
-
-def _position(state: HitchState, name: str) -> int:
-    """Return where a field of a state begins in its concatenated numbers."""
-    before = state[: state._fields.index(name)]
-    return sum(leaf.size for leaf in jax.tree.leaves(before))
 
 
 def unravel(like: PyTree) -> Callable[[Float[Array, " n"]], Any]:

@@ -17,7 +17,15 @@ def hitch_summary(hitch: Hitch) -> Summary:
     notes = [] if hitch.two_modes is None else [hitch.two_modes.sentence]
     if hitch.limits is not None:
         notes.append(hitch.limits.sentence(hitch.units[DISPLACEMENT]))
-    maps = [_speed_map(hitch, direction) for direction in hitch.channels]
+    maps = []
+    for direction in hitch.channels:
+        uncertainty = hitch.uncertainty.get(direction)
+        if uncertainty is None or uncertainty.characteristics is None:
+            maps.append("")
+            continue
+        points = uncertainty.characteristics.speed_map
+        speeds = np.array([point.speed for point in points if point.load == points[0].load])
+        maps.append(sparkline([speeds], f"steady speed over the {direction} command"))
     return Summary(
         f"Hitch at {hitch.step_s:g} s: {units}",
         ("direction", "structure", "parameters"),
@@ -62,13 +70,3 @@ def _facts(hitch: Hitch, channel: Channel) -> Iterator[str]:
     if channel.speed_compensator is not None:
         corrections.append("free run")
     yield "network corrections: " + (" and ".join(corrections) or "none")
-
-
-def _speed_map(hitch: Hitch, direction: str) -> str:
-    """Return the steady speed over the command as a small picture; empty where it is not known."""
-    uncertainty = hitch.uncertainty.get(direction)
-    if uncertainty is None or uncertainty.characteristics is None:
-        return ""
-    points = uncertainty.characteristics.speed_map
-    speeds = np.array([point.speed for point in points if point.load == points[0].load])
-    return sparkline([speeds], f"steady speed over the {direction} command")

@@ -3,13 +3,6 @@
 Plots of records, campaigns, models and validations, and figures of reports, are made of these functions.
 """
 
-from hitchid.plots.errors import ErrorBin as ErrorBin
-from hitchid.plots.errors import draw_band as draw_band
-from hitchid.plots.errors import draw_correlation as draw_correlation
-from hitchid.plots.errors import draw_error_bins as draw_error_bins
-from hitchid.plots.errors import draw_errors as draw_errors
-from hitchid.plots.errors import draw_measured as draw_measured
-from hitchid.plots.errors import draw_predicted as draw_predicted
 from hitchid.plots.models import LEVEL_COLOURS as LEVEL_COLOURS
 from hitchid.plots.models import BandedCurve as BandedCurve
 from hitchid.plots.models import SpeedCurve as SpeedCurve
@@ -17,8 +10,15 @@ from hitchid.plots.models import draw_bode as draw_bode
 from hitchid.plots.models import draw_curves as draw_curves
 from hitchid.plots.models import draw_dead_zone as draw_dead_zone
 from hitchid.plots.models import draw_speed_map as draw_speed_map
-from hitchid.plots.records import DIRECTION_COLOURS as DIRECTION_COLOURS
-from hitchid.plots.records import draw_commands as draw_commands
-from hitchid.plots.records import draw_displacement as draw_displacement
-from hitchid.plots.records import draw_segments as draw_segments
+from hitchid.plots.signals import DIRECTION_COLOURS as DIRECTION_COLOURS
+from hitchid.plots.signals import ErrorBin as ErrorBin
+from hitchid.plots.signals import draw_band as draw_band
+from hitchid.plots.signals import draw_commands as draw_commands
+from hitchid.plots.signals import draw_correlation as draw_correlation
+from hitchid.plots.signals import draw_displacement as draw_displacement
+from hitchid.plots.signals import draw_error_bins as draw_error_bins
+from hitchid.plots.signals import draw_errors as draw_errors
+from hitchid.plots.signals import draw_measured as draw_measured
+from hitchid.plots.signals import draw_predicted as draw_predicted
+from hitchid.plots.signals import draw_segments as draw_segments
 from hitchid.plots.style import canvas as canvas

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import wraps
-from typing import Any, NamedTuple, ParamSpec
+from typing import Any, NamedTuple, ParamSpec, Protocol, TypeVar
 
 import matplotlib as mpl
 import numpy as np
@@ -127,7 +127,19 @@ _RC_PARAMS: dict[Any, Any] = {
     "text.parse_math": False,  # names and units are no mathematics
     "text.usetex": False,  # nor programs of TeX, whatever the user's settings are
 }
+
+
+class HasFigure(Protocol):
+    """A figure with words and data."""
+
+    @property
+    def figure(self) -> Figure:
+        """The figure."""
+        ...
+
+
 _Params = ParamSpec("_Params")
+_Drawn = TypeVar("_Drawn", bound=Figure | HasFigure)
 
 
 @contextmanager
@@ -137,15 +149,15 @@ def style() -> Iterator[None]:
         yield
 
 
-def styled(draw: Callable[_Params, Figure]) -> Callable[_Params, Figure]:
-    """Return a function that draws its figure in the style of all figures."""
+def styled(draw: Callable[_Params, _Drawn]) -> Callable[_Params, _Drawn]:
+    """Return a function that draws its figure, alone or in a picture, in the style of all figures."""
 
     @wraps(draw)
-    def wrapper(*args: _Params.args, **kwargs: _Params.kwargs) -> Figure:
+    def wrapper(*args: _Params.args, **kwargs: _Params.kwargs) -> _Drawn:
         with style():
-            figure = draw(*args, **kwargs)
-            plain_texts(figure)
-            return figure
+            drawn = draw(*args, **kwargs)
+            plain_texts(drawn if isinstance(drawn, Figure) else drawn.figure)
+            return drawn
 
     return wrapper
 

@@ -1,12 +1,12 @@
 """Report of a comparison: errors of models in common tables and figures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from hitchid.model import Estimate
 from hitchid.plots.style import COMPARED
-from hitchid.report import figure_data, figures, numbers
+from hitchid.report import figures, numbers
 from hitchid.report.document import (
     Document,
     Finding,
@@ -51,7 +51,9 @@ def leaderboard_table(comparison: ModelComparison, section: str) -> Table:
             numbers.with_error(row.free_run.rmse, row.free_run.rmse_error),
             numbers.with_error(row.free_run.fit, row.free_run.fit_error),
             "" if row.one_step is None else numbers.with_error(row.one_step.rmse, row.one_step.rmse_error),
-            _difference(row),
+            row.standing.value
+            if row.tested is None
+            else f"{row.standing.value}, {numbers.p_value(row.tested)}",
         )
         for row in rows
     )
@@ -102,12 +104,6 @@ def comparison_parameters(comparison: ModelComparison) -> list[Table]:
     return all_tables
 
 
-def _difference(row: LeaderboardRow) -> str:
-    if row.tested is None:
-        return row.standing.value
-    return f"{row.standing.value}, {numbers.p_value(row.tested)}"
-
-
 def _cell(estimate: Estimate | None) -> str:
     """Return a parameter as `K = 39.4 ± 0.6 mm/(s·A)`, or the verdict on one that is not determined."""
     if estimate is None:
@@ -129,7 +125,13 @@ def comparison_report(comparison: ModelComparison, *, command: str = "") -> Docu
     return Document(
         title=f"Comparison of {numbers.count(len(comparison), 'model')}",
         subtitle="; ".join(f"{label}: {name}" for label, name in models),
-        verdict=tuple(_finding(comparison, section) for section in comparison.sections),
+        verdict=tuple(
+            Finding(
+                Rating.CAUTION if comparison.verdict(section).better is None else Rating.GOOD,
+                sentence(f"{section}: {verdict_text(comparison, section)}"),
+            )
+            for section in comparison.sections
+        ),
         notices=tuple(map(sentence, comparison.notices)),
         sections=(
             *(_section(comparison, section) for section in comparison.sections),
@@ -139,7 +141,11 @@ def comparison_report(comparison: ModelComparison, *, command: str = "") -> Docu
         summary=tuple(_summary(comparison, section) for section in comparison.sections),
         data=comparison.metrics,
         data_tables=comparison.tables(),
-        signals=_signals(comparison),
+        signals=Signals(
+            {section: comparison.free_runs(section) for section in comparison.sections},
+            comparison.unit,
+            comparison.validations[0].model.units,
+        ),
     )
 
 
@@ -165,7 +171,14 @@ def comparison_tables(comparison: ModelComparison) -> Document:
 def verdict_text(comparison: ModelComparison, section: str) -> str:
     """Return the model with the smallest error in free run and the significance of its difference."""
     rows = comparison.leaderboard().section(section)
-    errors_text = _errors_text(rows, comparison.unit)
+    errors = [
+        numbers.DIVERGED
+        if row.free_run.rmse is None
+        else f"{numbers.with_error(row.free_run.rmse, row.free_run.rmse_error)} {comparison.unit}"
+        for row in rows
+    ]
+    with_labels = (f"{error} with {row.label}" for error, row in zip(errors, rows, strict=True))
+    errors_text = f"RMSE {', '.join(with_labels)}"
     best, tests = rows[0], numbers.count(rows[0].tests, "test")
     worse, similar = (
         _listed([row.label for row in rows if row.standing is standing])
@@ -197,29 +210,9 @@ def _smallest(comparison: ModelComparison, section: str, rows: Sequence[Leaderbo
     return f"{best} has the smallest error in free run on {wins} of {tests}{factor}"
 
 
-def _errors_text(rows: Sequence[LeaderboardRow], unit: str) -> str:
-    def error(row: LeaderboardRow) -> str:
-        figures = row.free_run
-        if figures.rmse is None:
-            return numbers.DIVERGED
-        return f"{numbers.with_error(figures.rmse, figures.rmse_error)} {unit}"
-
-    return "RMSE " + ", ".join(f"{error(row)} with {row.label}" for row in rows)
-
-
 def _listed(labels: Sequence[str]) -> str:
     """Return labels as `B`, `B and C`, `B, C and D`; empty for none."""
     return " and ".join(filter(None, (", ".join(labels[:-1]), *labels[-1:])))
-
-
-def _signals(comparison: ModelComparison) -> Signals:
-    tests = {section: comparison.free_runs(section) for section in comparison.sections}
-    return Signals(tests, comparison.unit, comparison.validations[0].model.units)
-
-
-def _finding(comparison: ModelComparison, section: str) -> Finding:
-    rating = Rating.CAUTION if comparison.verdict(section).better is None else Rating.GOOD
-    return Finding(rating, sentence(f"{section}: {verdict_text(comparison, section)}"))
 
 
 def _summary(comparison: ModelComparison, section: str) -> Table:
@@ -243,53 +236,49 @@ def _pictures(comparison: ModelComparison, section: str) -> list[Picture]:
     unit, tests = comparison.unit, comparison.free_runs(section)
     labels = [label for label in comparison.labels if label in COMPARED]
     selected_tests, selection_text = shown_tests(tests, labels[-1])
-    horizons = _horizons(comparison, section, labels)
+    names = ", ".join(selected_tests.names)
     models_text = "all models" if len(labels) == len(comparison) else f"models {labels[0]} to {labels[-1]}"
-    return [
-        Picture(
-            f"{section}-overlay",
-            figures.outputs(selected_tests, unit, labels),
-            f"Free runs of {models_text} and their errors: "
-            f"{selection_text} ({', '.join(selected_tests.names)}).",
-            f"Displacement and error over time of {', '.join(selected_tests.names)} for {models_text}.",
-            data=figure_data.outputs(selected_tests, unit, labels),
-        ),
-        *_distribution(section, {label: tests.errors(label) for label in labels}, unit, models_text),
-        Picture(
-            f"{section}-horizons",
-            figures.horizons(horizons, comparison.step_s, unit),
-            "Error over the prediction horizon.",
-            f"RMSE in {unit} over the horizon for {models_text}.",
-            data=figure_data.horizons(horizons, comparison.step_s, unit),
-        ),
-        Picture(
-            f"{section}-tests",
-            figures.errors_by_test(tests, unit, labels[::-1]),
-            "RMSE of each test in free run; the bar is the RMSE over all tests.",
-            f"RMSE of each of {len(tests.names)} tests for {models_text}.",
-            data=figure_data.errors_by_test(tests, unit, labels[::-1]),
-        ),
-    ]
-
-
-def _horizons(comparison: ModelComparison, section: str, labels: Sequence[str]) -> Horizons:
     by_label = dict(zip(comparison.labels, comparison.accuracy(section), strict=True))
     first = by_label[comparison.labels[0]].horizons
-    rmse = {label: by_label[label].horizons.rmse[GREYBOX] for label in labels}
-    return Horizons(first.steps, {PERSISTENCE: first.rmse[PERSISTENCE], **rmse})
-
-
-def _distribution(
-    section: str, errors: Mapping[str, np.ndarray], unit: str, models_text: str
-) -> list[Picture]:
-    if not all(np.all(np.isfinite(rows)) for rows in errors.values()):
-        return []
-    return [
-        Picture(
-            f"{section}-distribution",
-            figures.error_distribution(errors, unit),
-            "Errors in free run on all tests.",
-            f"Distribution of errors in {unit} for {models_text}.",
-            data=figure_data.errors(errors, unit),
+    horizons = {label: by_label[label].horizons.rmse[GREYBOX] for label in labels}
+    horizons = Horizons(first.steps, {PERSISTENCE: first.rmse[PERSISTENCE], **horizons})
+    errors = {label: tests.errors(label) for label in labels}
+    pictures = [
+        figures.outputs(
+            f"{section}-overlay",
+            selected_tests,
+            unit,
+            labels,
+            f"Free runs of {models_text} and their errors: {selection_text} ({names}).",
+            f"Displacement and error over time of {names} for {models_text}.",
         )
+    ]
+    if all(np.all(np.isfinite(rows)) for rows in errors.values()):
+        pictures.append(
+            figures.error_distribution(
+                f"{section}-distribution",
+                errors,
+                unit,
+                "Errors in free run on all tests.",
+                f"Distribution of errors in {unit} for {models_text}.",
+            )
+        )
+    return [
+        *pictures,
+        figures.horizons(
+            f"{section}-horizons",
+            horizons,
+            comparison.step_s,
+            unit,
+            "Error over the prediction horizon.",
+            f"RMSE in {unit} over the horizon for {models_text}.",
+        ),
+        figures.errors_by_test(
+            f"{section}-tests",
+            tests,
+            unit,
+            labels[::-1],
+            "RMSE of each test in free run; the bar is the RMSE over all tests.",
+            f"RMSE of each of {len(tests.names)} tests for {models_text}.",
+        ),
     ]

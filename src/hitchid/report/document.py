@@ -1,10 +1,11 @@
-"""Document model of a report: findings, text, tables and figures in sections."""
+"""Document model of a report: findings, text, tables and figures in sections; the protocol of a renderer."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -195,6 +196,32 @@ class Document:
     def pictures(self) -> list[Picture]:
         """Every figure, in the order of the page."""
         return [picture for block in self.blocks if isinstance(block, Pictures) for picture in block.items]
+
+
+class Renderer(ABC):
+    """An output format of a document.
+
+    Other packages register an instance as an entry point in the group `hitchid.renderers`.
+
+    Attributes:
+        name: of the renderer, unique among all.
+        suffix: file suffix, with the dot.
+        package: package that it requires and hitchid does not; empty for none.
+        extra: the optional dependency of hitchid that installs it.
+    """
+
+    name: ClassVar[str]
+    suffix: ClassVar[str]
+    package: ClassVar[str] = ""
+    extra: ClassVar[str] = ""
+
+    @abstractmethod
+    def render(self, document: Document) -> bytes:
+        """Return a document as the content of a file; equal documents give equal bytes.
+
+        Raises:
+            InputError: a package that the renderer requires is not installed.
+        """
 
 
 def sentence(notice: str) -> str:

@@ -2,17 +2,13 @@
 
 from math import floor, log10
 
+from hitchid._support.tables import count as count
 from hitchid.model import Estimate, Interval, LoadOfTest, LoadScatter, Quantity, SpeedPoint
 from hitchid.model.estimates import NOT_ASSESSED
 from hitchid.report.document import Faint
 from hitchid.validation import RunFigures
-
-DIVERGED = "diverged"
-
-
-def digits(value: float | None) -> str:
-    """Return a number with four significant digits; 'diverged' for None."""
-    return DIVERGED if value is None else f"{value:.4g}"
+from hitchid.validation.results import DIVERGED as DIVERGED
+from hitchid.validation.results import value_text as digits
 
 
 def percent(share: float, decimals: int = 1) -> str:
@@ -23,11 +19,6 @@ def percent(share: float, decimals: int = 1) -> str:
 def p_value(probability: float) -> str:
     """Return a p-value with two digits, `< 0.001` below that."""
     return f"p {'< 0.001' if probability < 1e-3 else f'= {probability:.2g}'}"
-
-
-def count(number: int, noun: str) -> str:
-    """Return a number with a noun, in the plural unless the number is 1."""
-    return f"{number} {noun}{'s' if number != 1 else ''}"
 
 
 def rounded(value: float | None, error: float | None, max_decimals: int = 12) -> str:

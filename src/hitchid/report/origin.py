@@ -4,9 +4,9 @@ import ast
 import json
 from collections.abc import Iterator, Mapping, Sequence
 
-from hitchid.logs.audit import AuditFinding, Severity
+from hitchid.logs.audit import Severity
 from hitchid.model.trace import ChannelTraceFile
-from hitchid.report import figure_data, figures, numbers
+from hitchid.report import figures, numbers
 from hitchid.report.context import DirectionContext
 from hitchid.report.document import (
     Block,
@@ -20,7 +20,6 @@ from hitchid.report.document import (
     Text,
     sentence,
 )
-from hitchid.report.figures import timeline
 from hitchid.report.tables import search_table
 from hitchid.validation.report_data import HASH_DIGITS, LogData, LogUse, Origin
 
@@ -34,7 +33,13 @@ def logs_section(data: LogData) -> ReportSection:
     """Return the section on the logs: findings of the audit, every log, figures of mixed ones."""
     inspection = data.inspection
     findings = tuple(
-        _report_finding(finding) for finding in inspection.findings if finding.severity in LEVELS
+        Finding(
+            LEVELS[finding.severity],
+            f"{f'{finding.record}: ' if finding.record else ''}{finding.check}: {finding.what}; "
+            f"{finding.advice}.",
+        )
+        for finding in inspection.findings
+        if finding.severity in LEVELS
     )
     notices = (*data.notices, *inspection.notices)
     findings += tuple(Finding(Rating.CAUTION, sentence(str(notice))) for notice in notices)
@@ -43,22 +48,8 @@ def logs_section(data: LogData) -> ReportSection:
     if inspection.mixed:
         shown_logs = inspection.mixed[:MAX_MIXED_SHOWN]
         segmented_logs = [(log.record, log.segments) for log in shown_logs]
-        names = ", ".join(log.name for log in shown_logs)
-        picture = Picture(
-            "timeline",
-            timeline(segmented_logs),
-            f"Segments of mixed logs: {names} ({len(inspection.mixed)} in total).",
-            f"Displacement and commands of {names} over time, coloured by segment.",
-            wide=True,
-            data=figure_data.timeline(segmented_logs),
-        )
-        blocks.append(Pictures((picture,)))
+        blocks.append(Pictures((figures.timeline_picture(segmented_logs, len(inspection.mixed)),)))
     return ReportSection("Logs", tuple(blocks))
-
-
-def _report_finding(finding: AuditFinding) -> Finding:
-    prefix = f"{finding.record}: " if finding.record else ""
-    return Finding(LEVELS[finding.severity], f"{prefix}{finding.check}: {finding.what}; {finding.advice}.")
 
 
 def _table(logs: Sequence[LogUse]) -> Table:
@@ -99,15 +90,7 @@ def search_section(context: DirectionContext) -> ReportSection:
         pictures += _trace_pictures(context, trace)
     if searches:
         blocks.append(search_table(context.direction, searches, context.unit))
-        pictures.append(
-            Picture(
-                context.figure_name("searches"),
-                figures.searches(searches, context.unit),
-                "Searches with equal evaluations: the median run, and the final error of each seed.",
-                f"Best RMSE over the evaluations for {', '.join(summary.name for summary in searches)}.",
-                data=figure_data.searches(searches, context.unit),
-            )
-        )
+        pictures.append(figures.searches(context.figure_name("searches"), searches, context.unit))
     return ReportSection("Search and training", (*blocks, *([Pictures(tuple(pictures))] if pictures else [])))
 
 
@@ -116,43 +99,19 @@ def _trace_pictures(context: DirectionContext, trace: ChannelTraceFile) -> Itera
     caption = "Search: best fitness so far (weighted over the tests), and the parameters of the best member."
     if len(search.searched) < len(search.uncertainty.parameters):
         caption += " The plain form was searched; dotted: the model's form, which grew from it."
-    yield Picture(
+    yield figures.convergence(
         context.figure_name("convergence"),
-        figures.convergence(search, unit),
+        search,
+        unit,
         caption,
         "Best RMSE and the parameters that gave it, over the iterations of the search.",
-        data=figure_data.convergence(search, unit),
     )
     if trace.phase2 is not None:
-        yield Picture(
-            context.figure_name("losses"),
-            figures.losses(trace.phase2),
-            "Training of the LSTM correction; the epoch with the smallest validation loss is used.",
-            f"Losses over epochs; epoch {trace.phase2.best_epoch} is used.",
-            data=figure_data.losses(trace.phase2),
-        )
+        yield figures.losses(context.figure_name("losses"), trace.phase2)
     if trace.candidates:
-        chosen = next(candidate.name for candidate in trace.candidates if candidate.chosen)
-        yield Picture(
-            context.figure_name("structures"),
-            figures.structures(trace.candidates, unit),
-            _structures_caption(trace, unit),
-            f"RMSE of {len(trace.candidates)} structures; chosen: {chosen}.",
-            data=figure_data.structures(trace.candidates, unit),
+        yield figures.structures(
+            context.figure_name("structures"), trace.candidates, unit, trace.choice_held_out_rmse
         )
-
-
-def _structures_caption(trace: ChannelTraceFile, unit: str) -> str:
-    caption = (
-        "Free-run RMSE of each structure, on all tests and in cross-validation over levels. A larger "
-        "structure is taken where it is significantly better in cross-validation, as shown or with a gain "
-        "fitted to each test, which this figure does not include; in the other of the two it must not be "
-        "significantly worse."
-    )
-    if trace.choice_held_out_rmse is not None:
-        error = f"{trace.choice_held_out_rmse:.4g} {unit}"
-        caption += f" On levels that neither fitted nor chose the structure: {error}."
-    return caption
 
 
 def origin_section(source: Origin, command: str) -> ReportSection:

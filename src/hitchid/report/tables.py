@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from hitchid.model import Characteristics, Estimates, Interval, LoadOfTest, LoadScatter, SearchSummary
+from hitchid.model import Characteristics, Estimates, LoadOfTest, LoadScatter, SearchSummary
 from hitchid.model.estimates import NOT_ASSESSED
 from hitchid.report import numbers
 from hitchid.report.document import Faint, Table
@@ -13,6 +13,13 @@ from hitchid.validation.residuals import ResidualTests
 from hitchid.validation.results import RUNS, in_table_order, model_name
 
 # Tables of parameters with their intervals, and of operating characteristics.
+
+QUANTITY_TITLES = {
+    "dead_zone": "dead zone",
+    "flow_begins": "command at which flow starts",
+    "delay": "delay (5 %)",
+    "response_time": "response time (63 %)",
+}
 
 
 def parameter_table(title: str, estimates: Estimates) -> Table:
@@ -60,8 +67,13 @@ def load_table(direction: str, load_scatter: LoadScatter) -> Table:
 
     def row(name: str, value: float, result: LoadScatter | LoadOfTest, verdict: str = "") -> tuple[str, ...]:
         percent = f"{100 * value:.2f}"
-        interval = numbers.interval(_in_percent(result.interval))
-        return name, percent if result.determined else Faint(percent), interval, verdict
+        lower, upper = (None if end is None else 100 * end for end in result.interval)
+        return (
+            name,
+            percent if result.determined else Faint(percent),
+            numbers.interval((lower, upper)),
+            verdict,
+        )
 
     verdict = f"{numbers.determined(load_scatter)}, shrinkage {100 * load_scatter.shrinkage:.0f} %"
     rows = [row("scatter between tests", load_scatter.scatter, load_scatter, verdict)]
@@ -75,11 +87,6 @@ def load_table(direction: str, load_scatter: LoadScatter) -> Table:
         header,
         tuple(rows),
     )
-
-
-def _in_percent(interval: Interval) -> Interval:
-    lower, upper = interval
-    return None if lower is None else 100 * lower, None if upper is None else 100 * upper
 
 
 def characteristic_tables(direction: str, characteristics: Characteristics) -> list[Table]:
@@ -97,22 +104,15 @@ def characteristic_tables(direction: str, characteristics: Characteristics) -> l
     )
     speed_header = f"speed / ({characteristics.speed_unit})"
     header = (f"command / {unit}", *([load] if load else []), speed_header, "95 %", "verdict")
-    quantities = (
-        ("dead zone", unit, characteristics.dead_zone),
-        ("command at which flow starts", unit, characteristics.opening),
-        ("delay (5 %)", "s", characteristics.delay),
-        ("response time (63 %)", "s", characteristics.response_time),
-    )
     quantity_rows = tuple(
         (
-            name,
+            QUANTITY_TITLES[name],
             quantity_unit,
             numbers.quantity(quantity),
             numbers.interval(quantity.interval),
             numbers.determined(quantity),
         )
-        for name, quantity_unit, quantity in quantities
-        if quantity is not None
+        for name, (quantity, quantity_unit) in characteristics.quantities.items()
     )
     step = f"step to {numbers.digits(characteristics.level)} {unit}"
     return [
@@ -165,20 +165,14 @@ def search_table(direction: str, searches: Sequence[SearchSummary], unit: str) -
 
 def band_table(direction: str, bands: BandFigures, unit: str) -> Table:
     """Return the share of unseen samples inside the bands, in free run and over horizons."""
-    rows = [("free run", *_coverage_cells(bands.covered, bands.width))]
+    figures = [("free run", bands.covered, bands.width)]
     if bands.horizons is not None:
-        horizons = zip(bands.horizons.steps, bands.horizons.covered, bands.horizons.width, strict=True)
-        rows += [
-            (f"{numbers.count(step, 'sample')} ahead", *_coverage_cells(covered, width))
-            for step, covered, width in horizons
-        ]
+        ahead = [f"{numbers.count(step, 'sample')} ahead" for step in bands.horizons.steps]
+        figures += zip(ahead, bands.horizons.covered, bands.horizons.width, strict=True)
+    rows = tuple((name, numbers.percent(share), numbers.digits(width)) for name, share, width in figures)
     header = ("prediction", "covered / %", f"mean width / {unit}")
     level = numbers.percent(bands.coverage, 0)
-    return Table(f"{direction}: band for {level} % of the samples of an unseen test", header, tuple(rows))
-
-
-def _coverage_cells(share: float, width: float) -> tuple[str, str]:
-    return numbers.percent(share), numbers.digits(width)
+    return Table(f"{direction}: band for {level} % of the samples of an unseen test", header, rows)
 
 
 def residual_table(direction: str, residuals: Mapping[str, ResidualTests | None], unit: str) -> Table:
@@ -265,7 +259,15 @@ def cycle_tables(accuracy: Accuracy, unit: str) -> list[Table]:
 def summary_table(title: str, models: Iterable[tuple[str, ModelFigures]], unit: str) -> Table:
     """Return RMSE one step ahead and in free run, fit and largest error in free run, for a terminal."""
     header = (f"{title}, RMSE / {unit}", "one step", "free run", "fit / %", "largest")
-    return Table("", header, tuple((name, *_summary_cells(figures)) for name, figures in models))
+    rows = []
+    for name, figures in models:
+        one_step, free_run = (
+            ("",) * 6 if run is None else numbers.error_cells(run)
+            for run in (figures.one_step, figures.free_run)
+        )
+        rmse, _, _, fit, largest, _ = free_run
+        rows.append((name, one_step[0], rmse, fit, largest))
+    return Table("", header, tuple(rows))
 
 
 def _model_rows(accuracy: Accuracy) -> tuple[tuple[str, ...], ...]:
@@ -275,11 +277,3 @@ def _model_rows(accuracy: Accuracy) -> tuple[tuple[str, ...], ...]:
         for name in in_table_order(accuracy.models)
         if (figures := accuracy.models[name].run(run)) is not None
     )
-
-
-def _summary_cells(figures: ModelFigures) -> tuple[str, ...]:
-    step = "" if figures.one_step is None else numbers.error_cells(figures.one_step)[0]
-    if figures.free_run is None:
-        return step, "", "", ""
-    rmse, _, _, fit, largest, _ = numbers.error_cells(figures.free_run)
-    return step, rmse, fit, largest

@@ -13,9 +13,17 @@ from rich.table import Table as RichTable
 from hitchid._support.console import PlainConsole, line
 from hitchid._support.files import canonical_json
 from hitchid._support.inert import markdown_text, printable, xml_bytes
-from hitchid._support.tables import Cell, DataTable
-from hitchid.report.document import Document, Equation, Finding, Findings, ReportSection, Table, Text
-from hitchid.report.renderer import Renderer
+from hitchid._support.tables import Cell
+from hitchid.report.document import (
+    Document,
+    Equation,
+    Finding,
+    Findings,
+    Renderer,
+    ReportSection,
+    Table,
+    Text,
+)
 from hitchid.report.verdict import check_line
 from hitchid.validation import Check
 
@@ -143,8 +151,10 @@ class Xlsx(Renderer):
                     for column, cell in enumerate(row):
                         _write(sheet, number, column, cell)
                 sheet.freeze_panes(1, 1)
-                for column, width in enumerate(_widths(table)):
-                    sheet.set_column(column, column, width)
+                for column, name in enumerate(table.columns):
+                    texts = [name, *(row[column] for row in table.rows if isinstance(row[column], str))]
+                    widest = max(len(str(text)) for text in texts)
+                    sheet.set_column(column, column, min(MAX_WIDTH, widest + 2))
         return stream.getvalue()
 
 
@@ -154,15 +164,6 @@ def _write(sheet: "Worksheet", row: int, column: int, cell: Cell, style: "Format
         sheet.write_string(row, column, printable(cell)[:MAX_TEXT], style)
     else:
         sheet.write(row, column, cell, style)
-
-
-def _widths(table: DataTable) -> list[int]:
-    """Return the width of each column, in characters: that of its longest text."""
-    texts = [
-        [name, *(row[column] for row in table.rows if isinstance(row[column], str))]
-        for column, name in enumerate(table.columns)
-    ]
-    return [min(MAX_WIDTH, max(len(str(text)) for text in column) + 2) for column in texts]
 
 
 class Markdown(Renderer):

@@ -3,24 +3,20 @@
 from collections.abc import Callable, Mapping, Sequence
 
 from hitchid.logs.record import DISPLACEMENT
-from hitchid.model import Provenance
 from hitchid.model.trace import ChannelTraceFile
-from hitchid.report import figure_data, figures, numbers
+from hitchid.report import figures, numbers
 from hitchid.report.context import DirectionContext
 from hitchid.report.document import (
     Block,
     Document,
-    Picture,
     Pictures,
     ReportSection,
     Signals,
     Table,
     sentence,
 )
-from hitchid.report.figures.errors import MAX_SAMPLES
 from hitchid.report.origin import logs_section, origin_section, search_section
-from hitchid.report.overview import overview_section, simulated_models
-from hitchid.report.parameters_section import parameters_section
+from hitchid.report.parameters_section import characteristic_sentences, parameters_section
 from hitchid.report.tables import (
     accuracy_table,
     band_table,
@@ -35,12 +31,49 @@ from hitchid.report.tables import (
     summary_table,
 )
 from hitchid.report.verdict import limits_section, uses_section, verdict_section
-from hitchid.validation import CYCLES, Acceptance, Accuracy, ReportData, Validation
-from hitchid.validation.results import BENCHMARK, FREE_RUN, LABELS, in_table_order, model_name, shown_tests
+from hitchid.validation import CYCLES, Acceptance, Accuracy, Predictions, ReportData, Validation
+from hitchid.validation.results import (
+    BENCHMARK,
+    FREE_RUN,
+    LABELS,
+    ONE_STEP,
+    in_table_order,
+    model_name,
+    shown_tests,
+)
 
-# Errors of one direction: every model, over horizons, by test, distribution.
+# Sections of one direction: outputs and speed map, errors, trust.
 
 COMPARED_MODELS = ("lstm", "narx", "oe", "arx", "transfer_function", BENCHMARK, FREE_RUN)
+
+
+def overview_section(context: DirectionContext) -> ReportSection:
+    """Return the section with measured and simulated displacement, and the speed over the command."""
+    tests, unit, characteristics = context.accuracy.predictions, context.unit, context.result.characteristics
+    selected_tests, selection_text = shown_tests(tests)
+    names = ", ".join(selected_tests.names)
+    equal_note = " The network correction is not used in simulation." if tests.uncompensated else ""
+    rmse = context.accuracy.free_run().rmse
+    error_text = "the free run diverged" if rmse is None else f"free-run RMSE {rmse:.3g} {unit}"
+    pictures = [
+        figures.outputs(
+            context.figure_name("outputs"),
+            selected_tests,
+            unit,
+            _simulated_models(tests),
+            f"Measured and predicted displacement, and the errors: {selection_text} ({names}).{equal_note}",
+            f"Displacement and error over time of {names}; {error_text}.",
+        )
+    ]
+    if characteristics is not None:
+        words = " ".join(map(sentence, characteristic_sentences(characteristics, context.direction)))
+        pictures.append(figures.speed_map(context.figure_name("speed-map"), characteristics, words))
+    return ReportSection("Measured and simulated", (Pictures(tuple(pictures)),))
+
+
+def _simulated_models(tests: Predictions) -> tuple[str, ...]:
+    """Return the runs that are drawn; the physics model only where the grey box differs from it."""
+    return (FREE_RUN, ONE_STEP) if tests.uncompensated else (BENCHMARK, FREE_RUN, ONE_STEP)
 
 
 def accuracy_section(context: DirectionContext) -> ReportSection:
@@ -49,19 +82,21 @@ def accuracy_section(context: DirectionContext) -> ReportSection:
     unlabelled = [name for name in tests.models if name not in LABELS]
     models = [*unlabelled, *(name for name in COMPARED_MODELS if name in tests.models)]
     pictures = (
-        Picture(
+        figures.horizons(
             context.figure_name("horizons"),
-            figures.horizons(result.horizons, context.step_s, unit),
+            result.horizons,
+            context.step_s,
+            unit,
             "Error over the prediction horizon. A useful model is below persistence.",
             f"RMSE in {unit} over the horizon for each model, from one sample on.",
-            data=figure_data.horizons(result.horizons, context.step_s, unit),
         ),
-        Picture(
+        figures.errors_by_test(
             context.figure_name("tests"),
-            figures.errors_by_test(tests, unit, models),
+            tests,
+            unit,
+            models,
             "RMSE of each unseen test in free run; the bar is the RMSE over all tests.",
             f"RMSE of each of {len(tests.names)} tests in free run, for {len(models)} models.",
-            data=figure_data.errors_by_test(tests, unit, models),
         ),
     )
     tables = (accuracy_table(context.direction, result, unit), horizon_table(context.direction, result, unit))
@@ -71,30 +106,48 @@ def accuracy_section(context: DirectionContext) -> ReportSection:
 def errors_section(context: DirectionContext) -> ReportSection:
     """Return the section on the distribution of the errors, and on single tests."""
     tests, unit = context.accuracy.predictions, context.unit
-    models = simulated_models(tests)
-    model_errors = {name: tests.errors(name) for name in reversed(models)}
     pictures = [
-        Picture(
+        figures.error_distribution(
             context.figure_name("distribution"),
-            figures.error_distribution(model_errors, unit),
+            {name: tests.errors(name) for name in reversed(_simulated_models(tests))},
+            unit,
             "Errors on all unseen tests: histogram with fitted normal, and the share of samples below a "
             "limit. The axes end where 99.5 % of the samples lie.",
             f"Histogram and cumulative distribution of errors in {unit}.",
-            data=figure_data.errors(model_errors, unit),
         ),
     ]
     if context.data.channel.compensator is not None:
         pictures.append(
-            Picture(
+            figures.predicted_errors(
                 context.figure_name("predicted-errors"),
-                figures.predicted_errors({"test": tests}, unit),
+                {"test": tests},
+                unit,
                 "Error of the physics model, and the LSTM correction's prediction of it one step ahead.",
                 f"Error of the physics model in {unit} over the samples, actual and predicted.",
-                data=figure_data.predicted_errors({"test": tests}, unit, MAX_SAMPLES),
             )
         )
     table = single_test_table(context.direction, context.accuracy, unit)
     return ReportSection("Errors", (Pictures(tuple(pictures)), table))
+
+
+def trust_section(context: DirectionContext) -> ReportSection:
+    """Return the section on bands and on tests of the errors."""
+    result, unit, bands = context.result, context.unit, context.accuracy.bands
+    blocks: list[Block] = []
+    pictures = []
+    if bands is not None:
+        blocks.append(band_table(context.direction, bands, unit))
+        pictures.append(figures.coverage(context.figure_name("coverage"), bands, context.step_s))
+    free_run = result.residuals[FREE_RUN]
+    if free_run is not None:
+        blocks.append(residual_table(context.direction, result.residuals, unit))
+        pictures += [
+            figures.residual_correlations(context.figure_name("correlations"), free_run),
+            figures.residuals_by_variable(
+                context.figure_name("places"), free_run, unit, context.data.command_unit
+            ),
+        ]
+    return ReportSection("Trust", (*blocks, *([Pictures(tuple(pictures))] if pictures else [])))
 
 
 # Section on mixed cycles of lifting, holding and lowering.
@@ -103,87 +156,38 @@ MODELS = ("benchmark", "free_run")
 
 
 def cycles_section(accuracy: Accuracy, step_s: float, unit: str) -> ReportSection:
-    """Return the section on mixed cycles.
-
-    Args:
-        accuracy: on the unseen cycles.
-        step_s: sampling time, s.
-        unit: of the displacement.
-    """
+    """Return the section on mixed cycles; the sampling time in s, the unit that of the displacement."""
     tests = accuracy.predictions
     selected_tests, selection_text = shown_tests(tests)
     names = ", ".join(selected_tests.names)
-    model_errors = {name: tests.errors(name) for name in reversed(MODELS)}
-    first_table, *others = cycle_tables(accuracy, unit)
     pictures = (
-        Picture(
+        figures.outputs(
             "cycles-outputs",
-            figures.outputs(selected_tests, unit, MODELS),
+            selected_tests,
+            unit,
+            MODELS,
             f"Measured and predicted displacement, and errors: {selection_text.replace('test', 'cycle')} "
             f"({names}).",
             f"Displacement and error over time of {names}, free run.",
-            data=figure_data.outputs(selected_tests, unit, MODELS),
         ),
-        Picture(
+        figures.error_distribution(
             "cycles-distribution",
-            figures.error_distribution(model_errors, unit),
+            {name: tests.errors(name) for name in reversed(MODELS)},
+            unit,
             "Errors on all unseen cycles in free run.",
             f"Histogram and cumulative distribution of errors in {unit}.",
-            data=figure_data.errors(model_errors, unit),
         ),
-        Picture(
+        figures.horizons(
             "cycles-horizons",
-            figures.horizons(accuracy.horizons, step_s, unit),
+            accuracy.horizons,
+            step_s,
+            unit,
             "Error over the prediction horizon, including changes of direction.",
             f"RMSE in {unit} over the horizon.",
-            data=figure_data.horizons(accuracy.horizons, step_s, unit),
         ),
     )
+    first_table, *others = cycle_tables(accuracy, unit)
     return ReportSection("Mixed cycles", (first_table, Pictures(pictures), *others))
-
-
-# Section on prediction bands and residual tests of one direction.
-
-
-def trust_section(context: DirectionContext) -> ReportSection:
-    """Return the section on bands and on tests of the errors."""
-    result, unit = context.result, context.unit
-    blocks: list[Block] = []
-    pictures = []
-    bands = context.accuracy.bands
-    if bands is not None:
-        blocks.append(band_table(context.direction, bands, unit))
-        pictures.append(
-            Picture(
-                context.figure_name("coverage"),
-                figures.coverage(bands, context.step_s),
-                "Share of unseen samples inside the bands, and their nominal coverage.",
-                "Coverage of the bands in percent over the horizon.",
-                data=figure_data.coverage(bands, context.step_s),
-            )
-        )
-    free_run = result.residuals[FREE_RUN]
-    if free_run is not None:
-        blocks.append(residual_table(context.direction, result.residuals, unit))
-        pictures += [
-            Picture(
-                context.figure_name("correlations"),
-                figures.residual_correlations(free_run),
-                "Free run: autocorrelation of the errors and correlation with the command. Values outside "
-                "the bounds are errors that a better model could explain.",
-                "Autocorrelation of the errors and their correlation with the command, with 99 % bounds.",
-                data=figure_data.residual_correlations(free_run),
-            ),
-            Picture(
-                context.figure_name("places"),
-                figures.residuals_by_variable(free_run, unit, context.data.command_unit),
-                "Free run: mean error (bar) and its spread (line) by displacement, speed and command beyond "
-                "the dead zone. A bar away from zero is a systematic error.",
-                f"Mean and spread of the errors in {unit} by displacement, speed and command.",
-                data=figure_data.residuals_by_variable(free_run, unit, context.data.command_unit),
-            ),
-        ]
-    return ReportSection("Trust", (*blocks, *([Pictures(tuple(pictures))] if pictures else [])))
 
 
 SectionBuilder = Callable[[DirectionContext], ReportSection]
@@ -214,9 +218,16 @@ def validation_report(
         acceptance: result of the acceptance limits; None without limits.
         command: the command line that wrote the report.
     """
-    counts = [_count(direction, len(accuracy.tests)) for direction, accuracy in result.accuracy.items()]
+    made = result.model.provenance
+    counts = [
+        numbers.count(
+            len(accuracy.tests),
+            "unseen cycle" if direction == CYCLES else f"unseen {direction} test",
+        )
+        for direction, accuracy in result.accuracy.items()
+    ]
     return Document(
-        title=_title(result.model.provenance),
+        title=f"Validation of {made.name} ({made.date})" if made.name else "Validation of a model",
         subtitle=f"{', '.join(counts)}; {DISPLACEMENT} in {result.unit}",
         uses=uses_section(result),
         verdict=verdict_section(result, acceptance),
@@ -227,7 +238,14 @@ def validation_report(
             logs_section(data.logs),
             origin_section(data.origin, command),
         ),
-        summary=tuple(_summary(result)),
+        summary=tuple(
+            summary_table(
+                direction,
+                [(model_name(name), accuracy.models[name]) for name in in_table_order(accuracy.models)],
+                result.unit,
+            )
+            for direction, accuracy in result.accuracy.items()
+        ),
         checks=() if acceptance is None else acceptance.checks,
         data=result.metrics,
         data_tables=result.tables() | ({} if acceptance is None else {"limits": acceptance.table()}),
@@ -298,24 +316,3 @@ def all_tables(result: Validation) -> list[Table]:
         if channel.searches:
             table_list.append(search_table(direction, channel.searches, unit))
     return table_list if result.cycles is None else table_list + cycle_tables(result.cycles.accuracy, unit)
-
-
-def _summary(result: Validation) -> list[Table]:
-    return [
-        summary_table(
-            direction,
-            [(model_name(name), accuracy.models[name]) for name in in_table_order(accuracy.models)],
-            result.unit,
-        )
-        for direction, accuracy in result.accuracy.items()
-    ]
-
-
-def _title(provenance: Provenance) -> str:
-    if not provenance.name:
-        return "Validation of a model"
-    return f"Validation of {provenance.name} ({provenance.date})"
-
-
-def _count(direction: str, count: int) -> str:
-    return numbers.count(count, "unseen cycle" if direction == CYCLES else f"unseen {direction} test")

@@ -1,10 +1,10 @@
 """The verdict of a report: a sentence on the use of each model, and findings from the tables below it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hitchid.model import Characteristics, Estimates
+from hitchid.model import Estimates
 from hitchid.model.estimates import NOT_ASSESSED
 from hitchid.report import numbers
 from hitchid.report.document import Finding, Findings, Rating, ReportSection, Table
@@ -61,15 +61,28 @@ def uses_section(result: Validation) -> tuple[str, ...]:
 def verdict_section(result: Validation, acceptance: Acceptance | None) -> tuple[Finding, ...]:
     """Return the findings on limits, and for each direction on free run, predictions ahead, bands and
     parameters; the worst first."""
-    findings = [] if acceptance is None else [_acceptance_finding(acceptance)]
+    findings = []
+    if acceptance is not None:
+        failed, count = [check for check in acceptance.checks if not check.passed], len(acceptance.checks)
+        names = "; ".join(f"{check.name} {check.figure}, required {check.limit}" for check in failed)
+        findings.append(
+            Finding(Rating.BAD, f"Not accepted: {len(failed)} of {count} limits violated: {names}.")
+            if failed
+            else Finding(Rating.GOOD, f"Accepted: {_all_text(count, 'limit')} met.")
+        )
     unit, step_s = result.unit, result.model.step_s
     for section, accuracy in result.accuracy.items():
         findings += [
             _free_run_finding(section, accuracy, unit),
             *_ahead_finding(section, accuracy, unit, step_s),
         ]
-        if section != CYCLES:
-            findings += _channel_findings(section, result.channels[section], unit)
+        if section == CYCLES:
+            continue
+        if accuracy.bands is not None:
+            findings.append(_band_finding(section, accuracy.bands, len(accuracy.tests), unit))
+        parameters = result.channels[section].parameters
+        if parameters is not None and parameters.parameters:
+            findings.append(_parameter_finding(section, parameters))
     return tuple(sorted(findings, key=lambda finding: WORST_FIRST.index(finding.level)))
 
 
@@ -91,20 +104,15 @@ def _use(section: str, accuracy: Accuracy, unit: str, channel: ChannelResult | N
         use = f"not {use}" if free_run.fit < POOR_FIT else "usable for rough simulation"
     parts = []
     if channel is not None and channel.characteristics is not None and free_run.fit >= POOR_FIT:
-        use += _command_range(channel.characteristics)
+        # The commands between which the speed is determined; nothing where it is not.
+        command_unit = channel.characteristics.command_unit
+        commands = [point.command for point in channel.characteristics.speed_map if point.determined]
+        use += f" between {min(commands):.3g} and {max(commands):.3g} {command_unit}" if commands else ""
     if channel is not None:
         parts = [*_determined(channel)]
     travel = max(map(np.max, accuracy.predictions.actual)) - min(map(np.min, accuracy.predictions.actual))
     error = f"typical error {free_run.rmse:.2g} {unit} of {travel:.3g} {unit} on {tests}"
     return f"{_title(section)}: {use}: {'; '.join([error, *parts])}."
-
-
-def _command_range(characteristics: Characteristics) -> str:
-    """Return the commands between which the speed is determined; nothing where it is not."""
-    commands = [point.command for point in characteristics.speed_map if point.determined]
-    if not commands:
-        return ""
-    return f" between {min(commands):.3g} and {max(commands):.3g} {characteristics.command_unit}"
 
 
 def _determined(channel: ChannelResult) -> Iterator[str]:
@@ -127,15 +135,6 @@ def _determined(channel: ChannelResult) -> Iterator[str]:
         )
 
 
-def _acceptance_finding(acceptance: Acceptance) -> Finding:
-    failed = [check for check in acceptance.checks if not check.passed]
-    count = len(acceptance.checks)
-    if not failed:
-        return Finding(Rating.GOOD, f"Accepted: {_all_text(count, 'limit')} met.")
-    names = "; ".join(f"{check.name} {check.figure}, required {check.limit}" for check in failed)
-    return Finding(Rating.BAD, f"Not accepted: {len(failed)} of {count} limits violated: {names}.")
-
-
 def _all_text(count: int, what: str) -> str:
     return f"the one {what}" if count == 1 else f"all {count} {what}s"
 
@@ -152,9 +151,7 @@ def _free_run_finding(section: str, accuracy: Accuracy, unit: str) -> Finding:
         worst = int(np.argmax(errors))
         text += f", worst {accuracy.tests[worst]}: {errors[worst]:.3g} {unit}"
     reservations = [*_fit_reservations(accuracy, free_run.fit), *_rival_reservations(accuracy, unit)]
-    levels = [level for level, _ in reservations] or [Rating.GOOD]
-    text = "; ".join([text, *(words for _, words in reservations if words)])
-    return Finding(min(levels, key=WORST_FIRST.index), f"{text}.")
+    return _reserved(text, reservations, "; ")
 
 
 def _fit_reservations(accuracy: Accuracy, fit: float) -> Iterator[Reservation]:
@@ -242,23 +239,19 @@ def _time_ahead(steps: int, step_s: float) -> str:
     return f"{steps * step_s:.3g} s ahead"
 
 
-def _channel_findings(direction: str, channel: ChannelResult, unit: str) -> Iterator[Finding]:
-    accuracy = channel.accuracy
-    if accuracy.bands is not None:
-        yield _band_finding(direction, accuracy.bands, len(accuracy.tests), unit)
-    if channel.parameters is not None and channel.parameters.parameters:
-        yield _parameter_finding(direction, channel.parameters)
-
-
 def _band_finding(direction: str, bands: BandFigures, count: int, unit: str) -> Finding:
     """Return whether the coverage of the bands agrees with their level, in free run and ahead."""
     text = (
         f"{direction.capitalize()}: {100 * bands.covered:.0f} % of samples fell inside the "
         f"{100 * bands.coverage:.0f} % band (mean width {bands.width:.3g} {unit})"
     )
-    reservations = [*_free_run_coverage(bands, count), *_coverage_ahead(bands)]
+    return _reserved(text, [*_free_run_coverage(bands, count), *_coverage_ahead(bands)], ", ")
+
+
+def _reserved(text: str, reservations: Sequence[Reservation], separator: str) -> Finding:
+    """Return a finding with its reservations, as bad as the worst of them."""
     levels = [level for level, _ in reservations] or [Rating.GOOD]
-    text = ", ".join([text, *(words for _, words in reservations)])
+    text = separator.join([text, *(words for _, words in reservations)])
     return Finding(min(levels, key=WORST_FIRST.index), f"{text}.")
 
 

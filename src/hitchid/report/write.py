@@ -10,9 +10,8 @@ from hitchid._support.files import write_files, write_folder
 from hitchid._support.tables import csv_files
 from hitchid.errors import InputError
 from hitchid.report.document import Document
-from hitchid.report.page import Html, Interactive
-from hitchid.report.pdf import Pdf
-from hitchid.report.renderer import Renderer as Renderer
+from hitchid.report.document import Renderer as Renderer
+from hitchid.report.page import Html, Interactive, Pdf
 from hitchid.report.text import Json, JUnit, Markdown, Terminal, Xlsx
 
 # Renderers: a document as web page, PDF, Markdown, text for a terminal, JUnit XML, JSON, workbook.

@@ -1,6 +1,6 @@
 """Acceptance: whether the figures of a validation are within limits."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from decimal import Context
 from fractions import Fraction
@@ -169,7 +169,10 @@ def _direction_checks(
     yield from _worst_checks(section, direction_limits.worst_test, error)
     for steps, limit in (direction_limits.horizon or {}).items():
         name = f"{steps} sample{'s' if steps > 1 else ''} ahead, RMSE"
-        yield _check(section, name, _horizon_figure(section, steps), error, error.allowed_range(limit))
+        longest = max(section.horizon, default=0)
+        short = f"missing: the tests are too short; the longest horizon they allow is {longest} samples"
+        figure = section.horizon.get(steps, short)
+        yield _check(section, name, figure, error, error.allowed_range(limit))
     if direction_limits.coverage is not None:
         kind = _FigureKind("", "percent", Fraction(100))
         covered = "missing: no bands" if section.covered is None else section.covered
@@ -225,13 +228,6 @@ def _severity(figure: float | None, kind: _FigureKind) -> float:
     if not _finite(figure):
         return inf
     return -figure if kind.at_least else figure
-
-
-def _horizon_figure(section: _DirectionFigures, steps: int) -> float | str | None:
-    if steps in section.horizon:
-        return section.horizon[steps]
-    longest = max(section.horizon, default=0)
-    return f"missing: the tests are too short; the longest horizon they allow is {longest} samples"
 
 
 def _baseline_checks(section: _DirectionFigures, baseline: str, error: _FigureKind) -> Iterator[Check]:
@@ -293,7 +289,10 @@ def _check(
     else:
         value = _exact(figure) * kind.scale
         passed = allowed.contains(value)
-        result = kind.format(_shortest_consistent(value, allowed.contains)) + location
+        # The shortest text, from three digits, that is within the limits if the number is.
+        texts = _decimal_texts(value)
+        shortest = next(text for text in texts if allowed.contains(Fraction(text)) == passed)
+        result = kind.format(shortest) + location
     return Check(section.direction, f"{section.direction}: {name}", kind.format(allowed.text), result, passed)
 
 
@@ -314,8 +313,3 @@ def _decimal_texts(value: Fraction) -> Iterator[str]:
     """Yield a number with three, four, … significant digits."""
     for digits in count(3):
         yield str(Context(prec=digits).divide(value.numerator, value.denominator))
-
-
-def _shortest_consistent(value: Fraction, predicate: Callable[[Fraction], bool]) -> str:
-    """Return the shortest text of a number, from three digits, that is within the limits if the number is."""
-    return next(text for text in _decimal_texts(value) if predicate(Fraction(text)) == predicate(value))

@@ -38,17 +38,6 @@ from hitchid.validation.results import (
 COVERAGE = 0.9  # share of samples, the level of the bands that are validated
 
 
-def free_run_band(channel: Channel, bands: Bands, batch: Batch) -> np.ndarray:
-    """Return the half width of the band around the free run, in the model's unit, shape [T, N].
-
-    Args:
-        channel, bands: of the model.
-        batch: tests.
-    """
-    _, deviations = ensemble_deviations(channel, bands.ensemble, batch)
-    return free_run_half_width([bands], [np.sqrt(np.sum(deviations**2, axis=0))], COVERAGE)
-
-
 def band_figures(
     bands: Bands,
     batch: Batch,
@@ -209,7 +198,9 @@ def _half_width(channel: Channel, runs: _ModelRuns, uncertainty: Uncertainty | N
     """Return the half width of the band around the free run; None where there is none, or it diverged."""
     if uncertainty is None or uncertainty.bands is None:
         return None
-    half_width = free_run_band(channel, uncertainty.bands, runs.batch)
+    bands = uncertainty.bands
+    _, deviations = ensemble_deviations(channel, bands.ensemble, runs.batch)
+    half_width = free_run_half_width([bands], [np.sqrt(np.sum(deviations**2, axis=0))], COVERAGE)
     return half_width if np.all(np.isfinite(runs.free_run)) and np.all(np.isfinite(half_width)) else None
 
 

@@ -18,7 +18,7 @@ from hitchid.errors import InputError
 from hitchid.logs.campaign import Campaign
 from hitchid.model import Hitch
 from hitchid.validation.leaderboard import Leaderboard, LeaderboardRow, Standing, section_rows
-from hitchid.validation.results import FREE_RUN, Accuracy, Predictions
+from hitchid.validation.results import FREE_RUN, GREYBOX, Accuracy, Predictions, errors_summary
 from hitchid.validation.validate import usable_tests, validate
 from hitchid.validation.validation import TABLES_FILE, Validation
 
@@ -208,9 +208,17 @@ class ModelComparison(Value, Summarised):
         }
 
     def _summary(self) -> Summary:
-        from hitchid.validation.summary import comparison_summary
-
-        return comparison_summary(self)
+        rows, notes = [], []
+        for section in self.sections:
+            by_label = dict(zip(self.labels, self.accuracy(section), strict=True))
+            for row in self.leaderboard().section(section):
+                accuracy = by_label[row.label]
+                rows.append((section, row.name, accuracy.models[GREYBOX], accuracy))
+            better = self.verdict(section).better
+            verdict = "no significant difference" if better is None else f"{better} is better"
+            notes.append(f"{section}: {verdict}")
+        accuracies = {section: self.accuracy(section)[0] for section in self.sections}
+        return errors_summary("Comparison of models on", self.unit, accuracies, rows, tuple(notes))
 
 
 def model_labels(count: int) -> tuple[str, ...]:

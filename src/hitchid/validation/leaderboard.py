@@ -18,6 +18,7 @@ from hitchid.validation.results import (
     ModelFigures,
     Predictions,
     RunFigures,
+    value_text,
 )
 
 if TYPE_CHECKING:
@@ -177,6 +178,10 @@ def section_rows(
 
     def row(label: str, accuracy: Accuracy) -> LeaderboardRow:
         p_value = adjusted.get((best, label))
+        standing = Standing.BEST
+        if p_value is not None:
+            standing = Standing.WORSE if p_value < SIGNIFICANCE else Standing.SIMILAR
+            standing = Standing.UNTESTED if len(accuracy.tests) < MIN_TESTS else standing
         horizons = accuracy.horizons
         return LeaderboardRow(
             section=section,
@@ -193,29 +198,14 @@ def section_rows(
                     strict=True,
                 )
             ),
-            standing=_standing(p_value, len(accuracy.tests)),
+            standing=standing,
             p_value=p_value,
         )
 
     return tuple(row(label, accuracy) for label, accuracy in ordered)
 
 
-def value_text(value: float | None, error: float | None) -> str:
-    """Return a value with its standard error, as on a screen; None is a run that diverged."""
-    if value is None:
-        return "diverged"
-    return f"{value:.4g}" if error is None else f"{value:.4g} ± {error:.2g}"
-
-
 def _sort_key(accuracy: Accuracy) -> float:
     """Return the RMSE in free run, infinite where the model diverged."""
     rmse = accuracy.free_run().rmse
     return float("inf") if rmse is None else rmse
-
-
-def _standing(p_value: float | None, tests: int) -> Standing:
-    if p_value is None:
-        return Standing.BEST
-    if tests < MIN_TESTS:
-        return Standing.UNTESTED
-    return Standing.WORSE if p_value < SIGNIFICANCE else Standing.SIMILAR

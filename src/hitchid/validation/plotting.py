@@ -1,6 +1,7 @@
 """Plots of validations and comparisons: which arrays are drawn, with which texts."""
 
 from collections.abc import Sequence
+from operator import itemgetter
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -83,7 +84,7 @@ def draw_fit(
         models: keys of the predictions to draw.
         thin: whether curves are decimated.
     """
-    joined = concatenate_tests if len(tests.names) > 1 else _only
+    joined = concatenate_tests if len(tests.names) > 1 else itemgetter(0)
     time_s, measured = concatenated_time(tests), joined(tests.actual)
     if tests.band is not None:
         lower, upper = (joined(rows) for rows in tests.band)
@@ -99,11 +100,6 @@ def draw_fit(
     displacement_axes.set_ylabel(f"displacement / {unit}")
     error_axes.set_ylabel(f"error / {unit}")
     error_axes.set_xlabel("time / s" if len(tests.names) == 1 else "time, test after test / s")
-
-
-def _only(rows: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the samples of the only test."""
-    return rows[0]
 
 
 def plot_residuals(

@@ -104,12 +104,24 @@ def report_data(model: Hitch, campaign: Campaign) -> ReportData:
     segmented = (
         campaign if campaign.directions else campaign.segmented(model.segmentation_dead_zones(campaign.units))
     )
+    directions = {}
+    for direction in segmented.directions:
+        if direction not in model.channels:
+            continue
+        channel = model.channels[direction]
+        tests, ramps = (
+            [model.to_model_units(record) for record in records]
+            for records in (segmented.of_kind(direction), segmented.ramps(direction))
+        )
+        directions[direction] = DirectionData(
+            unit=model.units[DISPLACEMENT],
+            command_unit=model.units[COMMAND[direction]],
+            channel=channel,
+            valve_map=valve_map(channel, tests, ramps),
+            ramps=tuple(ramps),
+        )
     return ReportData(
-        directions={
-            direction: _direction_data(model, segmented, direction)
-            for direction in segmented.directions
-            if direction in model.channels
-        },
+        directions=directions,
         logs=log_data(model, campaign),
         origin=Origin(model.provenance, model.step_s, installed_versions()),
     )
@@ -136,21 +148,6 @@ def log_uses(model: Hitch, campaign: Campaign) -> tuple[LogUse, ...]:
             digest=_digest(record.source, digests),
         )
         for record in campaign.records
-    )
-
-
-def _direction_data(model: Hitch, campaign: Campaign, direction: str) -> DirectionData:
-    channel = model.channels[direction]
-    tests, ramps = (
-        [model.to_model_units(record) for record in records]
-        for records in (campaign.of_kind(direction), campaign.ramps(direction))
-    )
-    return DirectionData(
-        unit=model.units[DISPLACEMENT],
-        command_unit=model.units[COMMAND[direction]],
-        channel=channel,
-        valve_map=valve_map(channel, tests, ramps),
-        ramps=tuple(ramps),
     )
 
 

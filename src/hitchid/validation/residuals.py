@@ -112,18 +112,10 @@ def residual_tests(
 ) -> ResidualTests:
     """Test the errors of a model: whiteness, independence of the command, normality; bin by operating point.
 
-    With e and u of pooled mean 0 and mean square 1, and N_k pairs of samples k apart in the same test,
-
-    - autocorrelation r_k = Σ e(t) e(t − k) / N_k, cross-correlation the same with u(t − k);
-    - Q = (N + 2)/N Σ_k N_k r_k² ~ χ²_h, for one test N (N + 2) Σ_k ρ̂_k² / (N − k), ρ̂_k = r_k (N − k)/N
-      (Ljung & Box 1978, Biometrika 65, 297);
-    - cross-correlation at lag k has variance Σ_j N_{|k|+|j|} w_j r_e(j) r_u(j) / N_k², or 1/N_k where that
-      is more (Bartlett 1946, J. R. Stat. Soc. Suppl. 8, 27); see `_taper` for w_j;
-    - N s² / (6 F₃) + N κ² / (24 F₄) ~ χ²_2 for skewness s and excess kurtosis κ, F_p = Σ_j N_j/N r_e(j)^p
-      over all lags of either sign, F₃ at least 1 (Lobato & Velasco 2004, Econometric Theory 20, 671).
-
-    Negative autocorrelation therefore makes no test stricter than for white errors. Constant errors or
-    commands have correlations of 0 and p-values of 1.
+    With e and u of pooled mean 0 and mean square 1, and N_k pairs of samples k apart in the same test, the
+    autocorrelation is r_k = Σ e(t) e(t − k) / N_k, the cross-correlation the same with u(t − k). Negative
+    autocorrelation makes no test stricter than for white errors. Constant errors or commands have
+    correlations of 0 and p-values of 1.
 
     Args:
         errors: measured minus predicted displacement, one array of shape [N_i] for each test.
@@ -150,6 +142,8 @@ def residual_tests(
         _products(signal, signal)[size.max() - 1 :] / pairs for signal in (error, command)
     )
 
+    # Q = (N + 2)/N Σ_k N_k r_k² ~ χ²_h, for one test N (N + 2) Σ_k ρ̂_k² / (N − k), ρ̂_k = r_k (N − k)/N
+    # (Ljung & Box 1978, Biometrika 65, 297).
     auto = error_autocorrelation[1 : max_lag + 1]
     whiteness = float((count + 2) / count * np.sum(pairs[1 : max_lag + 1] * auto**2))
     whiteness_p = float(chdtrc(max_lag, whiteness)) if max_lag else 1.0
@@ -162,12 +156,7 @@ def residual_tests(
     pooled = np.concatenate(error)
     skewness = float(np.mean(pooled**3))
     kurtosis = float(np.mean(pooled**4)) - 3.0 if deviation else 0.0
-    third, fourth = (
-        1.0 + 2.0 * float(np.sum(pairs[1:] / count * error_autocorrelation[1:] ** p)) for p in (3, 4)
-    )
-    normality_p = float(
-        chdtrc(2, count * (skewness**2 / (6 * max(third, 1.0)) + kurtosis**2 / (24 * fourth)))
-    )
+    normality_p = _normality_p(skewness, kurtosis, error_autocorrelation, pairs)
 
     flat = {name: np.concatenate(arrays) for name, arrays in tests.items()}
     return ResidualTests(
@@ -248,12 +237,32 @@ def _products(first_signals: Sequence[np.ndarray], second_signals: Sequence[np.n
 def _cross_deviation(
     error_autocorrelation: np.ndarray, command_autocorrelation: np.ndarray, pairs: np.ndarray, lags: int
 ) -> np.ndarray:
-    """Return the standard deviation of the cross-correlation of independent signals at lags 0..lags."""
+    """Return the standard deviation of the cross-correlation of independent signals at lags 0..lags.
+
+    At lag k its square is Σ_j N_{|k|+|j|} w_j r_e(j) r_u(j) / N_k², or 1/N_k where that is more (Bartlett
+    1946, J. R. Stat. Soc. Suppl. 8, 27); see `_taper` for w_j.
+    """
     product = _taper(error_autocorrelation, pairs) * error_autocorrelation * command_autocorrelation
     product[1:] *= 2.0
     total = [np.sum(pairs[lag:] * product[: pairs.size - lag]) for lag in range(lags + 1)]
     lag_pairs = pairs[: lags + 1]
     return np.sqrt(np.maximum(np.array(total), lag_pairs)) / lag_pairs
+
+
+def _normality_p(
+    skewness: float, kurtosis: float, error_autocorrelation: np.ndarray, pairs: np.ndarray
+) -> float:
+    """Return the p-value of Jarque-Bera's test for autocorrelated errors.
+
+    N s² / (6 F₃) + N κ² / (24 F₄) ~ χ²_2 for skewness s and excess kurtosis κ, F_p = Σ_j N_j/N r_e(j)^p over
+    all lags of either sign, F₃ at least 1 (Lobato & Velasco 2004, Econometric Theory 20, 671).
+    """
+    count = int(pairs[0])
+    third, fourth = (
+        1.0 + 2.0 * float(np.sum(pairs[1:] / count * error_autocorrelation[1:] ** p)) for p in (3, 4)
+    )
+    statistic = count * (skewness**2 / (6 * max(third, 1.0)) + kurtosis**2 / (24 * fourth))
+    return float(chdtrc(2, statistic))
 
 
 def _taper(correlation: np.ndarray, pairs: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 
 from hitchid._support.metrics import SIGNIFICANCE, better_p_value, error_figures, rmse_error
 from hitchid._support.records import Value, short_repr
+from hitchid._support.tables import Summary, count, sparkline
 from hitchid.baselines.registry import BASELINES, all_baselines
 from hitchid.logs.record import COMMAND, Record
 from hitchid.model import Characteristics, Estimates, LoadScatter, SearchSummary
@@ -353,6 +354,52 @@ class Accuracy:
     def uncompensated(self) -> bool:
         """Whether the grey box in free run is the benchmark alone."""
         return self.free_run() == self.free_run(BENCHMARK)
+
+
+DIVERGED = "diverged"
+
+
+def value_text(value: float | None, error: float | None = None) -> str:
+    """Return a value with its standard error, as on a screen; None is a run that diverged."""
+    if value is None:
+        return DIVERGED
+    return f"{value:.4g}" if error is None else f"{value:.4g} ± {error:.2g}"
+
+
+def errors_summary(
+    title: str,
+    unit: str,
+    accuracies: Mapping[str, Accuracy],
+    rows: Iterable[tuple[str, str, ModelFigures, Accuracy | None]],
+    notes: tuple[str, ...],
+) -> Summary:
+    """Return the main figures of models, as a validation and a comparison show them.
+
+    Args:
+        title: its beginning; the number of unseen tests of each section follows.
+        unit: of the errors.
+        accuracies: section to results, for the number of its tests.
+        rows: section, model and figures, and the results whose first test is shown as a small picture.
+        notes: below the table.
+    """
+    tests = ", ".join(
+        count(len(accuracy.tests), "unseen cycle" if section == CYCLES else f"unseen {section} test")
+        for section, accuracy in accuracies.items()
+    )
+    cells, pictures = [], []
+    for section, name, figures, pictured in rows:
+        step, free = figures.one_step, figures.free_run
+        errors = ("", "", "") if free is None else map(value_text, (free.rmse, free.fit, free.max_abs))
+        cells.append((section, name, "" if step is None else value_text(step.rmse), *errors))
+        picture = ""
+        if pictured is not None:
+            shown = pictured.predictions
+            measured, predicted = shown.actual[0], shown.models[FREE_RUN][0]
+            label_text = f"{section}: {shown.names[0]}, measured and in free run"
+            picture = sparkline([measured, predicted], label_text, [measured, measured])
+        pictures.append(picture)
+    header = (f"RMSE one step / {unit}", f"RMSE free run / {unit}", "fit / %", f"largest / {unit}")
+    return Summary(f"{title} {tests}", ("direction", "model", *header), tuple(cells), notes, tuple(pictures))
 
 
 @short_repr

@@ -1,13 +1,18 @@
-"""Tables of a validation as data, from its records: one table for each file in `tables/`."""
+"""Content of `metrics.json`, and a table for each file in `tables/`, from the records of a validation."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
 
 from hitchid._support.tables import Cell, DataTable
-from hitchid.model import Characteristics, Estimates, Interval, LoadScatter, SearchSummary
+from hitchid.model import Characteristics, Estimates, Interval, LoadScatter, Quantity, SearchSummary, TwoModes
 from hitchid.validation.report_data import LogUse
 from hitchid.validation.residuals import ResidualTests
 from hitchid.validation.results import (
+    BENCHMARK,
     CYCLES,
+    FREE_RUN,
+    GREYBOX,
     RUNS,
     Accuracy,
     BandFigures,
@@ -17,7 +22,166 @@ from hitchid.validation.results import (
     in_table_order,
 )
 
+JsonObject = dict[str, Any]
 Row = dict[str, Cell]
+
+# Content of `metrics.json`.
+
+
+def validation_json(
+    unit: str, channels: Mapping[str, ChannelResult], cycles: CycleResult | None, mode_test: TwoModes | None
+) -> JsonObject:
+    """Return the content of `metrics.json`; errors in `unit`, parameters in the model's units."""
+    content: JsonObject = {
+        "unit": unit,
+        "channels": {direction: _channel(result) for direction, result in channels.items()},
+        CYCLES: {"tests": []},
+    }
+    if cycles is not None:
+        accuracy = cycles.accuracy
+        content[CYCLES] = {**_accuracy(accuracy), **_models(accuracy), "max_jump": cycles.max_jump}
+    return content if mode_test is None else {**content, "two_modes": asdict(mode_test)}
+
+
+def _channel(result: ChannelResult) -> JsonObject:
+    models = _models(result.accuracy)
+    scatter = result.load_scatter
+    content = {
+        **_accuracy(result.accuracy),
+        BENCHMARK: models.pop(BENCHMARK),
+        GREYBOX: models.pop(GREYBOX),
+        "baselines": models,
+        "residuals": {run: tests and asdict(tests) for run, tests in result.residuals.items()},
+        "parameters": result.parameters and _estimates(result.parameters),
+        "characteristics": result.characteristics and _characteristics(result.characteristics),
+        "load_scatter": scatter
+        and {
+            "value": scatter.scatter,
+            "interval_95": list(scatter.interval),
+            "shrinkage": scatter.shrinkage,
+            "determined": scatter.determined,
+            "tests": {
+                test.test: {"value": test.speed, "interval_95": list(test.interval)} for test in scatter.tests
+            },
+        },
+        "paper_parameters": result.paper_parameters and _estimates(result.paper_parameters),
+        "searches": {
+            search.name: {
+                "seeds": len(search.rmse),
+                "rmse": list(search.rmse),
+                "evaluations": list(search.evaluations),
+                "failures": list(search.failures),
+                "median_run": {
+                    "rmse": list(search.median_rmse),
+                    "values": [list(row) for row in search.median_values],
+                },
+            }
+            for search in result.searches
+        }
+        or None,
+    }
+    return {name: value for name, value in content.items() if value is not None}
+
+
+def _models(accuracy: Accuracy) -> JsonObject:
+    return {
+        name: {run: asdict(figures) for run in RUNS if (figures := models.run(run)) is not None}
+        for name, models in accuracy.models.items()
+    }
+
+
+def _accuracy(accuracy: Accuracy) -> JsonObject:
+    """Return the content common to directions and cycles, without the figures of the models."""
+    horizons, bands = accuracy.horizons, accuracy.bands
+    content: JsonObject = {
+        "tests": list(accuracy.tests),
+        "horizons": {
+            "steps": list(horizons.steps),
+            **{name: list(rmse) for name, rmse in horizons.rmse.items()},
+        },
+        "per_test": {name: {FREE_RUN: asdict(run)} for name, run in accuracy.per_test.items()},
+    }
+    if bands is not None:
+        free_run = {"covered": bands.covered, "covered_error": bands.covered_error, "width": bands.width}
+        content["bands"] = {"coverage": bands.coverage, FREE_RUN: free_run}
+        if bands.calibrated_on is not None:
+            of_horizons = dict(zip((FREE_RUN, "horizons"), bands.calibrated_on, strict=True))
+            content["bands"]["calibrated_on"] = of_horizons
+        if bands.sensor_noise is not None:
+            content["bands"]["sensor_noise"] = bands.sensor_noise
+        if bands.horizons is not None:
+            ahead = {name: list(values) for name, values in asdict(bands.horizons).items()}
+            content["bands"]["horizons"] = ahead
+    return content
+
+
+def _estimates(estimates: Estimates) -> JsonObject:
+    return {
+        "tests": estimates.tests,
+        "independent": estimates.rows,
+        "estimates": {
+            estimate.name: {
+                "symbol": estimate.symbol,
+                "unit": estimate.unit,
+                "value": estimate.value,
+                "standard_error": estimate.error,
+                "interval_95": list(estimate.interval),
+                "method": estimate.method,
+                "bootstrap_95": estimate.bootstrap and list(estimate.bootstrap),
+                "determined": estimate.determined,
+                "verdict": estimate.verdict,
+                "sensitivity": estimate.sensitivity,
+                "bounds": [estimate.lower, estimate.upper],
+                "profile": [list(point) for point in estimate.profile],
+            }
+            for estimate in estimates.parameters
+        },
+        "derived": {
+            quantity.name: {
+                "unit": quantity.unit,
+                "value": quantity.value,
+                "interval_95": list(quantity.interval),
+                "determined": quantity.determined,
+            }
+            for quantity in estimates.derived
+        },
+        "correlation": [list(row) for row in estimates.correlation],
+    }
+
+
+def _characteristics(characteristics: Characteristics) -> JsonObject:
+    def quantity(result: Quantity | None) -> JsonObject | None:
+        return result and {"value": result.value, **_ends(result.interval), "determined": result.determined}
+
+    return {
+        "command_unit": characteristics.command_unit,
+        "speed_unit": characteristics.speed_unit,
+        "load": characteristics.load,
+        "dead_zone": quantity(characteristics.dead_zone),
+        "flow_begins": quantity(characteristics.opening),
+        "step_command": characteristics.level,
+        "delay_s": quantity(characteristics.delay),
+        "response_time_s": quantity(characteristics.response_time),
+        "speed_map": [
+            {
+                "command": point.command,
+                "load": point.load,
+                "speed": point.speed,
+                **_ends(point.interval),
+                "determined": point.determined,
+            }
+            for point in characteristics.speed_map
+        ],
+        "measured_speeds": [asdict(measured) for measured in characteristics.measured],
+    }
+
+
+def _ends(interval: Interval | None, prefix: str = "", suffix: str = "") -> Row:
+    lower, upper = interval or (None, None)
+    return {f"{prefix}lower{suffix}": lower, f"{prefix}upper{suffix}": upper}
+
+
+# Tables with numbers at full precision.
 
 
 def validation_tables(
@@ -84,7 +248,9 @@ def _accuracy_tables(section: str, accuracy: Accuracy, unit: str) -> Iterator[Da
             if (figures := accuracy.models[name].run(run)) is not None
         ),
     )
-    yield _horizon_data(f"{section}-horizons", accuracy, unit)
+    horizons = accuracy.horizons
+    models = {f"{model}_rmse_{unit}": horizons.rmse[model] for model in in_table_order(horizons.rmse)}
+    yield DataTable.of_columns(f"{section}-horizons", {"horizon_samples": horizons.steps, **models})
     yield DataTable.of_rows(
         f"{section}-tests",
         ({"test": test, **_error_cells(figures, unit)} for test, figures in accuracy.per_test.items()),
@@ -105,38 +271,19 @@ def _error_cells(figures: RunFigures, unit: str) -> Row:
     }
 
 
-def _horizon_data(name: str, accuracy: Accuracy, unit: str) -> DataTable:
-    """Return the RMSE of every model, one row for each horizon."""
-    horizons = accuracy.horizons
-    models = {f"{model}_rmse_{unit}": horizons.rmse[model] for model in in_table_order(horizons.rmse)}
-    return DataTable.of_columns(name, {"horizon_samples": horizons.steps, **models})
-
-
 def _band_data(name: str, bands: BandFigures, unit: str) -> DataTable:
     """Return the share of unseen samples inside the bands: of the free run, then of each horizon."""
-    rows: list[Row] = [_band_row("free_run", None, bands.coverage, bands.covered, bands.width, unit)]
-    rows[0]["covered_standard_error"] = bands.covered_error
+
+    def row(run: str, step: int | None, covered: float, width: float) -> Row:
+        shares: Row = {"nominal_share": bands.coverage, "covered_share": covered}
+        return {"run": run, "horizon_samples": step, **shares, f"mean_width_{unit}": width}
+
+    free_run = row("free_run", None, bands.covered, bands.width)
+    rows = [free_run | {"covered_standard_error": bands.covered_error}]
     if bands.horizons is not None:
         ahead = zip(bands.horizons.steps, bands.horizons.covered, bands.horizons.width, strict=True)
-        rows += [
-            _band_row("horizon", step, bands.coverage, covered, width, unit) for step, covered, width in ahead
-        ]
+        rows += [row("horizon", step, covered, width) for step, covered, width in ahead]
     return DataTable.of_rows(name, rows)
-
-
-def _band_row(run: str, step: int | None, nominal: float, covered: float, width: float, unit: str) -> Row:
-    return {
-        "run": run,
-        "horizon_samples": step,
-        "nominal_share": nominal,
-        "covered_share": covered,
-        f"mean_width_{unit}": width,
-    }
-
-
-def _interval(interval: Interval | None, prefix: str, suffix: str = "") -> Row:
-    lower, upper = interval or (None, None)
-    return {f"{prefix}_lower{suffix}": lower, f"{prefix}_upper{suffix}": upper}
 
 
 def _parameter_data(name: str, estimates: Estimates) -> DataTable:
@@ -148,9 +295,9 @@ def _parameter_data(name: str, estimates: Estimates) -> DataTable:
             "unit": estimate.unit,
             "value": estimate.value,
             "standard_error": estimate.error,
-            **_interval(estimate.interval, "interval_95"),
+            **_ends(estimate.interval, "interval_95_"),
             "method": estimate.method,
-            **_interval(estimate.bootstrap, "bootstrap_95"),
+            **_ends(estimate.bootstrap, "bootstrap_95_"),
             "bound_lower": estimate.lower,
             "bound_upper": estimate.upper,
             "rmse_change_for_1_percent": estimate.sensitivity,
@@ -164,7 +311,7 @@ def _parameter_data(name: str, estimates: Estimates) -> DataTable:
             "name": quantity.name,
             "unit": quantity.unit,
             "value": quantity.value,
-            **_interval(quantity.interval, "interval_95"),
+            **_ends(quantity.interval, "interval_95_"),
             "determined": quantity.determined,
         }
         for quantity in estimates.derived
@@ -184,7 +331,7 @@ def _speed_map_data(name: str, characteristics: Characteristics, model_units: Ma
         {
             "origin": "model",
             **cells(point.command, point.speed, point.load),
-            **_interval(point.interval, "interval_95", f"_{characteristics.speed_unit}"),
+            **_ends(point.interval, "interval_95_", f"_{characteristics.speed_unit}"),
             "determined": point.determined,
         }
         for point in characteristics.speed_map
@@ -197,12 +344,6 @@ def _speed_map_data(name: str, characteristics: Characteristics, model_units: Ma
 
 
 def _characteristic_data(name: str, characteristics: Characteristics) -> DataTable:
-    quantities = {
-        "dead_zone": (characteristics.dead_zone, characteristics.command_unit),
-        "flow_begins": (characteristics.opening, characteristics.command_unit),
-        "delay": (characteristics.delay, "s"),
-        "response_time": (characteristics.response_time, "s"),
-    }
     return DataTable.of_rows(
         name,
         (
@@ -210,12 +351,11 @@ def _characteristic_data(name: str, characteristics: Characteristics) -> DataTab
                 "quantity": quantity_name,
                 "unit": unit,
                 "value": quantity.value,
-                **_interval(quantity.interval, "interval_95"),
+                **_ends(quantity.interval, "interval_95_"),
                 "determined": quantity.determined,
                 f"step_to_{characteristics.command_unit}": characteristics.level,
             }
-            for quantity_name, (quantity, unit) in quantities.items()
-            if quantity is not None
+            for quantity_name, (quantity, unit) in characteristics.quantities.items()
         ),
     )
 
@@ -225,12 +365,12 @@ def _load_scatter_data(name: str, load_scatter: LoadScatter) -> DataTable:
     scatter: Row = {
         "test": "scatter",
         "speed": load_scatter.scatter,
-        **_interval(load_scatter.interval, "interval_95"),
+        **_ends(load_scatter.interval, "interval_95_"),
         "shrinkage": load_scatter.shrinkage,
         "determined": load_scatter.determined,
     }
     tests: list[Row] = [
-        {"test": test.test, "speed": test.speed, **_interval(test.interval, "interval_95")}
+        {"test": test.test, "speed": test.speed, **_ends(test.interval, "interval_95_")}
         for test in load_scatter.tests
     ]
     return DataTable.of_rows(name, [scatter, *tests])

@@ -63,30 +63,36 @@ def usable_tests(campaign: Campaign, *models: Hitch) -> tuple[Campaign, tuple[st
 def channel_notices(
     direction: str, accuracy: Accuracy, channel: Channel, tests: Sequence[Record]
 ) -> list[str]:
-    """Return the notices of one direction.
-
-    Args:
-        direction: lifting or lowering.
-        accuracy: of the channel.
-        channel: of the model.
-        tests: on the model's clock and in its units.
-    """
-    notices = _accuracy_notices(direction, accuracy) + _out_of_range_notices(direction, channel, tests)
+    """Return the notices of one direction; the tests are on the model's clock and in its units."""
+    uncompensated = accuracy.uncompensated
+    left_out = (GREYBOX, BENCHMARK) if uncompensated else (GREYBOX,)
+    notices = [f"{direction}: the network correction is not used in simulation"] if uncompensated else []
+    for run, label in RUNS.items():
+        greybox = accuracy.models[GREYBOX].run(run)
+        others = {name: models.run(run) for name, models in accuracy.models.items() if name not in left_out}
+        better = [
+            model_name(name)
+            for name, figures in others.items()
+            if figures is not None and greybox is not None and not greybox.errs_less(figures)
+        ]
+        if better:
+            notices.append(f"{direction}: in {label} the grey box is no better than {' and '.join(better)}")
+    batch = channel.batch(tests)
+    out_of_range = channel.out_of_range(batch, channel.simulate(batch))
     notices += [
+        f"{direction}: in {int(rows.any(axis=1).sum())} of {len(tests)} tests the {name} is outside the "
+        "identified range"
+        for name, rows in out_of_range.items()
+        if rows.any()
+    ]
+    return notices + [
         f"{direction}: the free run uses the mean of '{name}' before motion"
         for name in channel.benchmark.covariates
     ]
-    return notices
 
 
 def baseline_notices(direction: str, rivals: Rivals, tests: Sequence[Record]) -> list[str]:
-    """Return the notices of baselines that are not compared.
-
-    Args:
-        direction: lifting or lowering.
-        rivals: models fitted to the same tests as the channel.
-        tests: on the model's clock and in its units.
-    """
+    """Return the notices of baselines that are not compared."""
     notices = [f"{direction}: {notice}" for notice in rivals.notices]
     lacking = [(test.name, name) for test in tests for name in rivals.covariates if name not in test.signals]
     if rivals.baselines and lacking:
@@ -113,57 +119,17 @@ def set_by_hand_notices(model: Hitch, direction: str) -> list[str]:
 
 
 def cycle_notices(model: Hitch, result: CycleResult, factor: float) -> list[str]:
-    """Return the notices of mixed cycles.
-
-    Args:
-        model: the hitch.
-        result: its results.
-        factor: from the model's unit of displacement to that of the figures.
-    """
-    accuracy = result.accuracy
-    notices = _limit_notices(model, accuracy, factor)
+    """Return the notices of mixed cycles; the factor is that from the model's unit to the figures'."""
+    accuracy, limits, notices = result.accuracy, model.limits, []
+    if limits is not None:
+        free_runs = accuracy.predictions.models["free_run"]
+        limited_runs = sum(bool(np.any(limits.at_soft_limit(run / factor))) for run in free_runs)
+        sentence = limits.sentence(model.units[DISPLACEMENT])
+        if limited_runs:
+            notices.append(f"cycles: {sentence}; {limited_runs} of {len(free_runs)} reach a limit")
     if not accuracy.free_run().errs_less(accuracy.free_run(BENCHMARK)):
         notices.append(f"cycles: in free run the grey box is no better than {model_name(BENCHMARK)}")
     return notices
-
-
-def _accuracy_notices(direction: str, accuracy: Accuracy) -> list[str]:
-    uncompensated = accuracy.uncompensated
-    left_out = (GREYBOX, BENCHMARK) if uncompensated else (GREYBOX,)
-    notices = [f"{direction}: the network correction is not used in simulation"] if uncompensated else []
-    for run, label in RUNS.items():
-        greybox = accuracy.models[GREYBOX].run(run)
-        others = {name: models.run(run) for name, models in accuracy.models.items() if name not in left_out}
-        better = [
-            model_name(name)
-            for name, figures in others.items()
-            if figures is not None and greybox is not None and not greybox.errs_less(figures)
-        ]
-        if better:
-            notices.append(f"{direction}: in {label} the grey box is no better than {' and '.join(better)}")
-    return notices
-
-
-def _out_of_range_notices(direction: str, channel: Channel, tests: Sequence[Record]) -> list[str]:
-    batch = channel.batch(tests)
-    out_of_range = channel.out_of_range(batch, channel.simulate(batch))
-    return [
-        f"{direction}: in {int(rows.any(axis=1).sum())} of {len(tests)} tests the {name} is outside the "
-        "identified range"
-        for name, rows in out_of_range.items()
-        if rows.any()
-    ]
-
-
-def _limit_notices(model: Hitch, accuracy: Accuracy, factor: float) -> list[str]:
-    """Return the number of mixed logs in which the free run reaches a limit that is no end stop."""
-    limits = model.limits
-    if limits is None:
-        return []
-    free_runs = accuracy.predictions.models["free_run"]
-    limited_runs = sum(bool(np.any(limits.at_soft_limit(run / factor))) for run in free_runs)
-    sentence = limits.sentence(model.units[DISPLACEMENT])
-    return [f"cycles: {sentence}; {limited_runs} of {len(free_runs)} reach a limit"] if limited_runs else []
 
 
 WORKERS = 2  # threads for directions and cycles; chosen
@@ -212,30 +178,9 @@ def validate(
     unseen_cycles = []
     if len(model.channels) > 1:
         unseen_cycles = [model.to_model_units(record) for record in _unseen(model, usable.of_kind(CYCLE))]
-    channels: dict[str, ChannelResult] = {}
-    cycles, notices = None, [*lacking]
-    with ThreadPoolExecutor(WORKERS) as pool:
-        cycle_job = (
-            pool.submit(double_precision(cycle_result), model, unseen_cycles, factor)
-            if unseen_cycles
-            else None
-        )
-        jobs = {
-            direction: pool.submit(
-                _validate_direction, model, direction, single_direction.of_kind(direction), factor
-            )
-            for direction in single_direction.directions
-        }
-        for number, (direction, future) in enumerate(jobs.items()):
-            report(ProgressUpdate(f"{direction}: horizons and free run", number / (len(jobs) + 1)))
-            result, direction_notices = future.result()
-            notices += direction_notices
-            if result is not None:
-                channels[direction] = result
-        report(ProgressUpdate("cycles", len(jobs) / (len(jobs) + 1)))
-        if cycle_job is not None:
-            cycles = cycle_job.result()
-            notices += cycle_notices(model, cycles, factor)
+    tests = {name: single_direction.of_kind(name) for name in single_direction.directions}
+    channels, cycles, notices = _results(model, tests, unseen_cycles, factor, report)
+    notices = [*lacking, *notices]
     if not channels and cycles is None:
         raise InputError(
             "every test of these logs was used for identification, or is in a direction "
@@ -250,6 +195,40 @@ def validate(
     if mode_test is not None:
         notices.append(mode_test.sentence)
     return Validation(unit, channels, cycles, mode_test, tuple(notices), model, campaign)
+
+
+def _results(
+    model: Hitch,
+    tests: Mapping[str, Sequence[Record]],
+    unseen_cycles: Sequence[Record],
+    factor: float,
+    report: ProgressCallback,
+) -> tuple[dict[str, ChannelResult], CycleResult | None, list[str]]:
+    """Return the results of each direction with unseen tests and of the cycles, side by side, and notices."""
+    channels: dict[str, ChannelResult] = {}
+    cycles: CycleResult | None = None
+    notices: list[str] = []
+    with ThreadPoolExecutor(WORKERS) as pool:
+        cycle_job = (
+            pool.submit(double_precision(cycle_result), model, unseen_cycles, factor)
+            if unseen_cycles
+            else None
+        )
+        jobs = {
+            direction: pool.submit(_validate_direction, model, direction, records, factor)
+            for direction, records in tests.items()
+        }
+        for number, (direction, future) in enumerate(jobs.items()):
+            report(ProgressUpdate(f"{direction}: horizons and free run", number / (len(jobs) + 1)))
+            result, direction_notices = future.result()
+            notices += direction_notices
+            if result is not None:
+                channels[direction] = result
+        report(ProgressUpdate("cycles", len(jobs) / (len(jobs) + 1)))
+        if cycle_job is not None:
+            cycles = cycle_job.result()
+            notices += cycle_notices(model, cycles, factor)
+    return channels, cycles, notices
 
 
 @double_precision

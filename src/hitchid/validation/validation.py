@@ -10,25 +10,28 @@ import numpy as np
 from hitchid._support import checks
 from hitchid._support.files import canonical_json, write_bytes, write_files, write_folder
 from hitchid._support.records import Value
-from hitchid._support.tables import DataTable, Summarised, Summary, csv_files
+from hitchid._support.tables import DataTable, Summarised, Summary, csv_files, first_notes
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.record import COMMAND
 from hitchid.model import Hitch, TwoModes
 from hitchid.validation.acceptance import Acceptance, check_limits
 from hitchid.validation.limits import AcceptanceLimits
-from hitchid.validation.metrics_json import validation_json
 from hitchid.validation.report_data import ReportData, log_uses, report_data
 from hitchid.validation.results import (
     BENCHMARK,
     CYCLES,
     FREE_RUN,
+    GREYBOX,
     RUNS,
     Accuracy,
     ChannelResult,
     CycleResult,
     Predictions,
+    errors_summary,
+    in_table_order,
+    model_name,
 )
-from hitchid.validation.tables import log_table, validation_tables
+from hitchid.validation.tables import log_table, validation_json, validation_tables
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,6 +40,7 @@ if TYPE_CHECKING:
 
 METRICS_FILE = "metrics.json"
 TABLES_FILE = "tables.md"
+MAX_NOTICES = 3  # that a summary shows; chosen
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -234,6 +238,10 @@ class Validation(Value, Summarised):
         }
 
     def _summary(self) -> Summary:
-        from hitchid.validation.summary import validation_summary
-
-        return validation_summary(self)
+        rows = [
+            (section, model_name(name), accuracy.models[name], accuracy if name == GREYBOX else None)
+            for section, accuracy in self.accuracy.items()
+            for name in reversed(in_table_order(accuracy.models))
+        ]
+        notes = first_notes(self.notices, MAX_NOTICES, "notices")
+        return errors_summary("Validation on", self.unit, self.accuracy, rows, notes)

@@ -22,7 +22,6 @@ from hitchid.report import (
     ChannelTraceFile,
     Picture,
     Table,
-    figure_data,
     figures,
     read_trace,
     render,
@@ -72,13 +71,13 @@ def _convergence(direction: str, searches: Mapping[str, TracedSearch], unit: str
     for method, search in searches.items():
         names = [parameter.name for parameter in search.parameters]
         pictures.append(
-            Picture(
+            figures.convergence(
                 _name(number, method),
-                figures.convergence(search, unit),
+                search,
+                unit,
                 f"Figure {number} of the paper: convergence of fitness and of each parameter, {direction}, "
                 f"{method}.",
                 f"Best RMSE and {', '.join(names)} over the iterations of the global search.",
-                data=figure_data.convergence(search, unit),
             )
         )
     return PaperFigure(number, tuple(pictures))
@@ -90,13 +89,13 @@ def _predicted_errors(direction: str, results: Mapping[str, Subsets], unit: str)
     for method, result in results.items():
         subsets = {"training": result.training, "validation": result.validation}
         pictures.append(
-            Picture(
+            figures.predicted_errors(
                 _name(number, method),
-                figures.predicted_errors(subsets, unit),
+                subsets,
+                unit,
                 f"Figure {number} of the paper: error of the physics model, actual and predicted one step "
                 f"ahead, on training and validation tests, {direction}, {method}.",
                 f"Actual and predicted error in {unit} over {MAX_SAMPLES} samples.",
-                data=figure_data.predicted_errors(subsets, unit, MAX_SAMPLES),
             )
         )
     return PaperFigure(number, tuple(pictures))
@@ -109,13 +108,13 @@ def _error_distribution(direction: str, result: DirectionResult, unit: str) -> P
         for subset in ("training", "validation")
     }
     number = DISTRIBUTION[direction]
-    picture = Picture(
+    picture = figures.error_distribution(
         _name(number),
-        figures.error_distribution(rows, unit),
+        rows,
+        unit,
         f"Figure {number} of the paper: one-step errors of both methods on training and validation tests, "
         f"histogram with fitted normal and cumulative distribution, {direction}.",
         f"Distribution of one-step errors in {unit}.",
-        data=figure_data.errors(rows, unit),
     )
     return PaperFigure(number, (picture,))
 
@@ -124,20 +123,22 @@ def _test_set(direction: str, test: Predictions, unit: str) -> PaperFigure:
     number = TEST[direction]
     errors = {model: test.errors(model) for model in DRAWN}
     pictures = (
-        Picture(
+        figures.outputs(
             _name(number),
-            figures.outputs(test, unit, DRAWN),
+            test,
+            unit,
+            DRAWN,
             f"Figure {number} of the paper, upper half: outputs and errors on the test set, {direction}.",
             f"Displacement and error over time on {len(test.names)} unseen tests.",
-            data=figure_data.outputs(test, unit, MODELS),
+            recorded=MODELS,
         ),
-        Picture(
+        figures.error_distribution(
             f"{_name(number)}-errors",
-            figures.error_distribution(errors, unit),
+            errors,
+            unit,
             f"Figure {number} of the paper, lower half: histogram and cumulative distribution of the errors "
             f"on the test set, {direction}.",
             f"Distribution of the errors in {unit} on {len(test.names)} unseen tests.",
-            data=figure_data.errors(errors, unit),
         ),
     )
     return PaperFigure(number, pictures)

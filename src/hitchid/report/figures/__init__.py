@@ -1,20 +1,21 @@
-"""Figures: functions of a result that return matplotlib figures, in one style."""
+"""Figures: functions of a result that return pictures with their data, in one style."""
 
+from hitchid.report.figures.errors import coverage as coverage
 from hitchid.report.figures.errors import error_distribution as error_distribution
 from hitchid.report.figures.errors import errors_by_test as errors_by_test
 from hitchid.report.figures.errors import horizons as horizons
 from hitchid.report.figures.errors import outputs as outputs
 from hitchid.report.figures.errors import predicted_errors as predicted_errors
+from hitchid.report.figures.errors import residual_correlations as residual_correlations
+from hitchid.report.figures.errors import residuals_by_variable as residuals_by_variable
+from hitchid.report.figures.parameters import dead_zone as dead_zone
+from hitchid.report.figures.parameters import intervals as intervals
+from hitchid.report.figures.parameters import loads as loads
+from hitchid.report.figures.parameters import speed_map as speed_map
+from hitchid.report.figures.parameters import valve_map as valve_map
 from hitchid.report.figures.search import convergence as convergence
 from hitchid.report.figures.search import losses as losses
 from hitchid.report.figures.search import searches as searches
 from hitchid.report.figures.search import structures as structures
-from hitchid.report.figures.speed_map import speed_map as speed_map
 from hitchid.report.figures.timeline import timeline as timeline
-from hitchid.report.figures.trust import coverage as coverage
-from hitchid.report.figures.trust import intervals as intervals
-from hitchid.report.figures.trust import loads as loads
-from hitchid.report.figures.trust import residual_correlations as residual_correlations
-from hitchid.report.figures.trust import residuals_by_variable as residuals_by_variable
-from hitchid.report.figures.valve import dead_zone as dead_zone
-from hitchid.report.figures.valve import valve_map as valve_map
+from hitchid.report.figures.timeline import timeline_picture as timeline_picture

@@ -1,4 +1,4 @@
-"""Figures of model errors: predicted and actual error, distributions, outputs, tests, horizons."""
+"""Figures of errors: outputs, tests, horizons, distributions, coverage of the bands, tests of residuals."""
 
 from collections.abc import Mapping, Sequence
 
@@ -19,47 +19,63 @@ from hitchid.plots.style import (
     logarithmic,
     styled,
 )
-from hitchid.validation import Horizons, Predictions
-from hitchid.validation.plotting import draw_fit
+from hitchid.report.document import Picture
+from hitchid.validation import BandFigures, Horizons, Predictions
+from hitchid.validation.plotting import (
+    VARIABLES,
+    draw_fit,
+    draw_residual_correlations,
+    draw_residuals_by_variable,
+)
+from hitchid.validation.residuals import ResidualTests
 from hitchid.validation.results import concatenate_tests, label
 
 MAX_SAMPLES, QUANTILES = 2000, 201  # samples, as in the paper; points of a cumulative curve
-PAPER_MODELS = ("one_step", "free_run", "benchmark")
 
 
 @styled
-def predicted_errors(subsets: Mapping[str, Predictions], unit: str) -> Figure:
+def predicted_errors(
+    name: str, subsets: Mapping[str, Predictions], unit: str, caption: str, alt: str
+) -> Picture:
     """Return the benchmark's error and its prediction one step ahead, 2000 samples (paper, Fig. 7 and 8).
 
     Args:
+        name, caption, alt: of the picture.
         subsets: `training` and `validation`, or another subset of the data, to its tests.
         unit: of the displacement.
     """
+    several = len(subsets) > 1
+    data = {}
     figure = Figure(figsize=(COLUMN_IN, 0.3 + 1.6 * len(subsets)))
     axes = np.atleast_1d(figure.subplots(len(subsets), 1, sharex=True))
     for axis, (subset, tests) in zip(axes, subsets.items(), strict=True):
-        measured = concatenate_tests(tests.actual)[:MAX_SAMPLES]
-        benchmark = concatenate_tests(tests.models["benchmark"])[:MAX_SAMPLES]
-        predicted = concatenate_tests(tests.models["one_step"])[:MAX_SAMPLES]
-        sample = np.arange(measured.size)
-        axis.plot(*decimate(sample, measured - benchmark), color=INK, label="actual")
-        colour = SUBSET_COLOURS.get(subset, COLOURS["one_step"])
-        axis.plot(
-            *decimate(sample, predicted - benchmark),
-            color=colour,
-            label=_prediction_label(subset, len(subsets)),
+        measured, benchmark, one_step = (
+            concatenate_tests(rows)[:MAX_SAMPLES]
+            for rows in (tests.actual, tests.models["benchmark"], tests.models["one_step"])
         )
-        axis.set_ylabel(f"error, {subset} / {unit}" if len(subsets) > 1 else f"error / {unit}")
-    legend_above(figure, *axes, columns=1 if len(subsets) > 1 else 2)
+        actual, predicted = measured - benchmark, one_step - benchmark
+        data |= {f"{subset}_actual_{unit}": actual, f"{subset}_predicted_{unit}": predicted}
+        sample = np.arange(measured.size)
+        axis.plot(*decimate(sample, actual), color=INK, label="actual")
+        axis.plot(
+            *decimate(sample, predicted),
+            color=SUBSET_COLOURS.get(subset, COLOURS["one_step"]),
+            label=f"predicted one step ahead{f', {subset}' if several else ''}",
+        )
+        axis.set_ylabel(f"error, {subset} / {unit}" if several else f"error / {unit}")
+    legend_above(figure, *axes, columns=1 if several else 2)
     axes[-1].set_xlabel("sample, test after test")
-    return figure
+    return Picture(name, figure, caption, alt, data=data)
 
 
 @styled
-def error_distribution(rows: Mapping[str, np.ndarray], unit: str) -> Figure:
+def error_distribution(
+    name: str, rows: Mapping[str, np.ndarray], unit: str, caption: str, alt: str
+) -> Picture:
     """Return histogram with fitted normal, and cumulative distribution of |error| (paper, Fig. 9 and 10).
 
     Args:
+        name, caption, alt: of the picture.
         rows: subset of the data, or model, to its errors, shape [M].
         unit: of the displacement.
     """
@@ -69,18 +85,18 @@ def error_distribution(rows: Mapping[str, np.ndarray], unit: str) -> Figure:
     half_width = (
         max((float(np.quantile(np.abs(errors), 0.995)) for errors in finite_errors), default=0.0) or 1.0
     )
-    for name, errors in rows.items():
-        colour = SUBSET_COLOURS.get(name) or COLOURS.get(name, INK)
+    for row, errors in rows.items():
+        colour = SUBSET_COLOURS.get(row) or COLOURS.get(row, INK)
         if not _has_finite_mean_square(errors):
-            histogram_axis.plot([], [], color=colour, linewidth=0.9, label=f"{label(name)}: diverged")
+            histogram_axis.plot([], [], color=colour, linewidth=0.9, label=f"{label(row)}: diverged")
             continue
-        _histogram(histogram_axis, errors, half_width, colour, label(name))
+        _histogram(histogram_axis, errors, half_width, colour, label(row))
         share = np.linspace(0, 1, QUANTILES)
         distribution_axis.plot(
             np.quantile(np.abs(errors), share),
             100 * share,
             color=colour,
-            dashes=DASHES.get(name, (None, None)),
+            dashes=DASHES.get(row, (None, None)),
         )
     histogram_axis.set_xlim(-half_width, half_width)
     histogram_axis.set_xlabel(f"error / {unit}")
@@ -90,44 +106,68 @@ def error_distribution(rows: Mapping[str, np.ndarray], unit: str) -> Figure:
     distribution_axis.set_xlabel(f"absolute error / {unit}")
     distribution_axis.set_ylabel("share of samples below / %")
     legend_above(figure, histogram_axis)
-    return figure
+    data = {f"{row}_error_{unit}": errors for row, errors in rows.items()}
+    return Picture(name, figure, caption, alt, data=data)
 
 
 @styled
-def outputs(tests: Predictions, unit: str, models: Sequence[str] = PAPER_MODELS) -> Figure:
+def outputs(
+    name: str,
+    tests: Predictions,
+    unit: str,
+    models: Sequence[str],
+    caption: str,
+    alt: str,
+    *,
+    recorded: Sequence[str] = (),
+) -> Picture:
     """Return measured and predicted displacement, and the errors, tests concatenated (paper, Fig. 11, 12).
 
     Args:
+        name, caption, alt: of the picture.
         tests: few, since they share one axis.
         unit: of the displacement.
         models: keys of the predictions to draw.
+        recorded: keys of the predictions in its data; those that are drawn if there are none.
     """
     figure = Figure(figsize=(COLUMN_IN, 4.2))
     displacement_axes, error_axes = figure.subplots(2, 1, sharex=True)
     draw_fit(displacement_axes, error_axes, tests, unit, models, thin=True)
     legend_above(figure, displacement_axes)
     figure.align_ylabels()
-    return figure
+    data: dict[str, Sequence | np.ndarray] = {
+        "test": [test for test, time_s in zip(tests.names, tests.time_s, strict=True) for _ in time_s],
+        "time_s": np.concatenate(tests.time_s),
+        f"measured_{unit}": np.concatenate(tests.actual),
+        **{f"{model}_{unit}": np.concatenate(tests.models[model]) for model in recorded or models},
+    }
+    if tests.band is not None:
+        lower, upper = map(np.concatenate, tests.band)
+        data |= {f"free_run_band_lower_{unit}": lower, f"free_run_band_upper_{unit}": upper}
+    return Picture(name, figure, caption, alt, data=data)
 
 
 @styled
-def errors_by_test(tests: Predictions, unit: str, models: Sequence[str]) -> Figure:
-    """Return the RMSE of every test in free run, one row of points per model.
+def errors_by_test(
+    name: str, tests: Predictions, unit: str, models: Sequence[str], caption: str, alt: str
+) -> Picture:
+    """Return the RMSE of every test in free run, one row of points per model; infinite where it diverged.
 
     Args:
+        name, caption, alt: of the picture.
         tests: all unseen tests.
         unit: of the displacement.
         models: keys of the predictions, from the bottom up.
     """
     figure = Figure(figsize=(COLUMN_IN, 0.7 + 0.32 * len(models)))
     axis = figure.subplots()
+    rmse = {model: tests.rmse(model) for model in models}
     for row_index, model in enumerate(models):
-        errors = np.where(np.isfinite(tests.rmse(model)), tests.rmse(model), np.nan)
-        sign = MARKERS.get(model, "o")
+        errors = np.where(np.isfinite(rmse[model]), rmse[model], np.nan)
         axis.plot(
             errors,
             np.full(errors.size, row_index),
-            sign,
+            MARKERS.get(model, "o"),
             color=COLOURS.get(model, INK),
             markersize=4,
             alpha=0.6,
@@ -139,14 +179,16 @@ def errors_by_test(tests: Predictions, unit: str, models: Sequence[str]) -> Figu
     axis.set_ylim(-0.6, len(models) - 0.4)
     logarithmic(axis.xaxis)
     axis.set_xlabel(f"RMSE of each test in free run / {unit}")
-    return figure
+    data = {"test": tests.names, **{f"{model}_rmse_{unit}": errors for model, errors in rmse.items()}}
+    return Picture(name, figure, caption, alt, data=data)
 
 
 @styled
-def horizons(errors: Horizons, step_s: float, unit: str) -> Figure:
+def horizons(name: str, errors: Horizons, step_s: float, unit: str, caption: str, alt: str) -> Picture:
     """Return the error over the prediction horizon.
 
     Args:
+        name, caption, alt: of the picture.
         errors: RMSE of each model.
         step_s: sampling time, s.
         unit: of the displacement.
@@ -172,11 +214,109 @@ def horizons(errors: Horizons, step_s: float, unit: str) -> Figure:
     axis.set_xlabel("prediction horizon / s")
     axis.set_ylabel(f"RMSE / {unit}")
     legend_above(figure, axis)
-    return figure
+    data = {
+        "horizon_samples": errors.steps,
+        "horizon_s": ahead_s,
+        **{f"{model}_rmse_{unit}": values for model, values in errors.rmse.items()},
+    }
+    return Picture(name, figure, caption, alt, data=data)
 
 
-def _prediction_label(subset: str, subset_count: int) -> str:
-    return f"predicted one step ahead{f', {subset}' if subset_count > 1 else ''}"
+@styled
+def residual_correlations(name: str, residuals: ResidualTests) -> Picture:
+    """Return autocorrelation of the errors and their cross-correlation with the command, with 99 % bounds.
+
+    Args:
+        name: of the picture.
+        residuals: of the free run of one direction.
+    """
+    figure = Figure(figsize=(COLUMN_IN, 3.4))
+    autocorrelation_axes, cross_correlation_axes = figure.subplots(2, 1)
+    draw_residual_correlations(autocorrelation_axes, cross_correlation_axes, residuals)
+    legend_above(figure, autocorrelation_axes)
+    figure.align_ylabels()
+    return Picture(
+        name,
+        figure,
+        "Free run: autocorrelation of the errors and correlation with the command. Values outside "
+        "the bounds are errors that a better model could explain.",
+        "Autocorrelation of the errors and their correlation with the command, with 99 % bounds.",
+        data={
+            "lag_s": residuals.step_s * np.arange(1, len(residuals.autocorrelation) + 1),
+            "autocorrelation": residuals.autocorrelation,
+            "autocorrelation_bound": residuals.autocorrelation_bounds,
+            "command_lag_s": residuals.step_s * np.array(residuals.cross_lags),
+            "command_correlation": residuals.cross_correlation,
+            "command_correlation_bound": residuals.cross_bounds,
+        },
+    )
+
+
+@styled
+def residuals_by_variable(name: str, residuals: ResidualTests, unit: str, command_unit: str) -> Picture:
+    """Return mean and spread of the errors over displacement, speed and command.
+
+    Args:
+        name: of the picture.
+        residuals: of the free run of one direction.
+        unit, command_unit: of displacement and command.
+    """
+    figure = Figure(figsize=(COLUMN_IN, 4.4))
+    axes = figure.subplots(len(VARIABLES), 1, sharey=True)
+    draw_residuals_by_variable(axes, residuals, unit, command_unit)
+    units = {"position": unit, "speed": f"{unit}/s", "command": command_unit}
+    data = {}
+    for quantity, group in residuals.by_quantity.items():
+        data |= {
+            f"{quantity}_lower_{units[quantity]}": [interval.lower for interval in group.bins],
+            f"{quantity}_upper_{units[quantity]}": [interval.upper for interval in group.bins],
+            f"{quantity}_mean_error_{unit}": [interval.mean for interval in group.bins],
+            f"{quantity}_rmse_{unit}": [interval.rmse for interval in group.bins],
+        }
+    return Picture(
+        name,
+        figure,
+        "Free run: mean error (bar) and its spread (line) by displacement, speed and command beyond "
+        "the dead zone. A bar away from zero is a systematic error.",
+        f"Mean and spread of the errors in {unit} by displacement, speed and command.",
+        data=data,
+    )
+
+
+@styled
+def coverage(name: str, bands: BandFigures, step_s: float) -> Picture:
+    """Return the share of unseen samples inside the bands, over the prediction horizon.
+
+    Args:
+        name: of the picture.
+        bands: of one direction.
+        step_s: sampling time, s.
+    """
+    figure = Figure(figsize=(COLUMN_IN, 2.2))
+    axis = figure.subplots()
+    data: dict[str, Sequence | np.ndarray] = {}
+    free = 100 * bands.covered
+    least = free
+    if bands.horizons is not None:
+        covered = 100 * np.array(bands.horizons.covered)
+        ahead_s = step_s * np.array(bands.horizons.steps)
+        axis.plot(ahead_s, covered, "o-", color=COLOURS["one_step"], label="ahead", clip_on=False)
+        least = min(free, covered.min())
+        data = {"horizon_s": ahead_s, "horizon_covered_share": bands.horizons.covered}
+    axis.axhline(free, color=COLOURS["free_run"], linestyle="--", label="free run")
+    axis.axhline(100 * bands.coverage, color=INK, linewidth=0.8, label="nominal")
+    logarithmic(axis.xaxis)
+    axis.set_ylim(min(70.0, least - 2), 100)
+    axis.set_xlabel("prediction horizon / s")
+    axis.set_ylabel("unseen samples covered / %")
+    legend_above(figure, axis, columns=3)
+    return Picture(
+        name,
+        figure,
+        "Share of unseen samples inside the bands, and their nominal coverage.",
+        "Coverage of the bands in percent over the horizon.",
+        data=data | {"nominal_share": (bands.coverage,), "free_run_covered_share": (bands.covered,)},
+    )
 
 
 def _has_finite_mean_square(errors: np.ndarray) -> bool:

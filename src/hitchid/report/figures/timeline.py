@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 from hitchid._support.files import write_file
 from hitchid.logs.kinds import LABELS, Segment
 from hitchid.logs.plotting import draw_record
-from hitchid.logs.record import DIRECTIONS, Record
+from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT, Record
 from hitchid.plots.style import COLOURS, PAGE_IN, legend_above, style, styled
+from hitchid.report.document import Picture
 
 ROW_IN = 2.4  # height of a record, inch; chosen
 MARK_COLOUR = COLOURS["benchmark"]
@@ -55,6 +56,33 @@ def timeline(records: Sequence[tuple[Record, Sequence[Segment]]], marks: Sequenc
     legend_above(figure, *axes, columns=len(LEGEND_ORDER), order=LEGEND_ORDER)
     figure.align_ylabels()
     return figure
+
+
+def timeline_picture(records: Sequence[tuple[Record, Sequence[Segment]]], total: int) -> Picture:
+    """Return the figure of `timeline` with displacement, commands and segment of each sample, log below log.
+
+    Args:
+        records: some mixed logs with their segments.
+        total: number of mixed logs.
+    """
+    data: dict[str, list] = {"log": [], "time_s": [], "segment": []}
+    for record, segments in records:
+        data["log"] += [record.name] * len(record)
+        data["time_s"] += (record.start_s + record.step_s * np.arange(len(record))).tolist()
+        for label, start, stop in segments:
+            data["segment"] += [label] * (stop - start)
+        for role in (DISPLACEMENT, *COMMAND.values()):
+            if role in record.signals:
+                data.setdefault(f"{role}_{record.units[role]}", []).extend(record.signals[role].tolist())
+    names = ", ".join(record.name for record, _ in records)
+    return Picture(
+        "timeline",
+        timeline(records),
+        f"Segments of mixed logs: {names} ({total} in total).",
+        f"Displacement and commands of {names} over time, coloured by segment.",
+        wide=True,
+        data=data,
+    )
 
 
 def _annotate_marks(axes: Axes, record: Record, marks: Sequence[Mark]) -> None:
