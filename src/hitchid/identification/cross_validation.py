@@ -12,11 +12,18 @@ from hitchid._support.tables import Summarised, Summary, dataframe, first_notes
 from hitchid.errors import HitchError, InputError
 from hitchid.estimation import Search
 from hitchid.identification.candidates import operating_points
-from hitchid.identification.config import Structures, check_campaign
-from hitchid.identification.identify import DEFAULT_STRUCTURES, NO_DEAD_ZONES, TRAINING, WHALE, identify_many
+from hitchid.identification.config import (
+    DEFAULT_STRUCTURES,
+    NO_DEAD_ZONES,
+    TRAINING,
+    WHALE,
+    RivalsConfig,
+    Structures,
+    check_campaign,
+)
+from hitchid.identification.identify import identify_many
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.result import Identification
-from hitchid.identification.rivals import RivalsConfig
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.record import CYCLE, Record
 from hitchid.model import Hitch
