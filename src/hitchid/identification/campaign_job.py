@@ -106,13 +106,7 @@ class CampaignJob:
 
     @classmethod
     def of(cls, campaign: Campaign, config: IdentificationConfig, folder: Path | None) -> "CampaignJob":
-        """Prepare a campaign; raises InputError as `identify` does.
-
-        Args:
-            campaign: the tests.
-            config: settings.
-            folder: of the checkpoints; None keeps none.
-        """
+        """Prepare a campaign; raises InputError as `identify` does."""
         config = config.with_campaign_covariates(campaign)
         checkpoints = config.checkpoints(folder, campaign)
         if campaign.unmatched:

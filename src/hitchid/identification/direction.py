@@ -137,11 +137,6 @@ def find_compensators(
     """Fit the load filter, train the compensators (phase 2), fit quick rivals, and calibrate the bands.
 
     What fails leaves a notice.
-
-    Args:
-        channel, trace: of phase 1.
-        data, config: tests and settings.
-        progress: called with what is being done and the fraction that is done.
     """
     initial_data, data, training = data, data.with_dead_zone(trace.dead_zone), config.training
     shares = {  # relative work (measured at default settings)
@@ -263,12 +258,7 @@ def _judged(
 
 
 def operating_range_of(batch: Batch, covariates: Sequence[str]) -> OperatingRange:
-    """Return the ranges of signals in tests, over the samples that count.
-
-    Args:
-        batch: the tests.
-        covariates: names of those that the model uses.
-    """
+    """Return the ranges of signals in tests, over the samples that count."""
     loss_mask = np.asarray(batch.loss_mask)
     loads = batch.load(covariates)
 

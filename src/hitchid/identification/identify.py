@@ -57,14 +57,6 @@ def run_pipeline(
 ) -> tuple[Identification | HitchError, ...]:
     """Carry out phase 1, then phase 2, and put the models together.
 
-    Args:
-        campaigns: of one machine each.
-        config: configuration, the same for all.
-        progress: called with the current task and the completed fraction.
-        checkpoints: folder of finished partial results, for one campaign.
-        on_physics: called with each model of phase 1, before compensators are trained; what it returns is
-            shown with the progress.
-
     Returns:
         In the order of the campaigns the identification, or the error that ended it.
     """

@@ -190,9 +190,6 @@ def read_settings(path: Path) -> Settings:
 def settings_of_model(described: Mapping[str, Any]) -> Settings:
     """Return the settings of an identification from what its model says of them; defaults where it is silent.
 
-    Args:
-        described: `Provenance.settings`, made by `IdentificationConfig.describe`.
-
     Raises:
         SettingsError: they cannot be understood.
     """
