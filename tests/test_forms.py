@@ -6,8 +6,7 @@ import pytest
 import handmade
 import hitchid
 from hitchid.errors import InputError
-from hitchid.identification.config import SEARCHES, identification_config
-from hitchid.identification.identify import DEFAULT_STRUCTURES, PAPER_SPECS
+from hitchid.identification.config import DEFAULT_STRUCTURES, SEARCHES, IdentificationConfig
 from hitchid.logs import write_table
 from truth import levels
 
@@ -72,20 +71,12 @@ def test_a_model_saves_itself_once(tmp_path):
     MODEL.save(tmp_path / "model", force=True)
 
 
-def configured(**options):
-    """Return the configuration of an identification."""
-    defaults = {"training": None, "dead_zones": {}, "drift": False, "rivals": False, "seed": 0}
-    return identification_config(
-        DEFAULT_STRUCTURES, PAPER_SPECS, **({"structure": {}, "search": "whale"} | defaults | options)
-    )
-
-
 def test_structures_and_searches_have_names():
     for name, search in SEARCHES.items():
-        assert configured(search=name).search == search
-    both = configured(structure="integrator").specs
+        assert IdentificationConfig.of(search=name).search == search
+    both = IdentificationConfig.of(structure="integrator").specs
     assert {spec.structure.name for spec in both.values()} == {"integrator"}
-    assert configured(structure="automatic").specs == DEFAULT_STRUCTURES
+    assert IdentificationConfig.of(structure="automatic").specs == DEFAULT_STRUCTURES
 
 
 def test_packages_come_with_the_first_import():

@@ -1,17 +1,14 @@
 """The settings that a model folder keeps: the keys and values of the settings file."""
 
 import json
-from inspect import signature
 
 import pytest
 
 from hitchid.estimation import DifferentialEvolution, MultiStart
 from hitchid.estimation.searches import Search
 from hitchid.identification import read_settings
-from hitchid.identification.config import identification_config
-from hitchid.identification.identify import DEFAULT_STRUCTURES, PAPER_SPECS, identify
+from hitchid.identification.config import IdentificationConfig
 
-NOT_SETTINGS = ("campaign", "progress", "checkpoints", "on_physics")
 SEARCH = {"method": "whale", "evaluations": 600, "population": 20, "stagnation": 7, "per_dimension": False}
 TRAINING = {
     "compensator": True,
@@ -31,9 +28,7 @@ def toml(values):
 
 def described(**settings):
     """Return what a model folder keeps of the arguments of `identify`."""
-    defaults = {p.name: p.default for p in signature(identify).parameters.values()}
-    arguments = {name: value for name, value in defaults.items() if name not in NOT_SETTINGS}
-    return identification_config(DEFAULT_STRUCTURES, PAPER_SPECS, **arguments | settings).describe()
+    return IdentificationConfig.of(**settings).describe()
 
 
 def test_what_a_file_sets_is_kept_by_its_own_keys(tmp_path):

@@ -279,8 +279,8 @@ def test_what_cannot_be_computed_is_left_out_with_a_notice(monkeypatch):
     phase1 = object.__new__(Phase1)
     moved = SimpleNamespace(free=np.ones(1, bool))
     vars(phase1).update(fit=SimpleNamespace(objective=None, position=None), influence=moved)
-    found, said = direction._characteristics(DeadZone(0.3, None, 0, "given"), phase1, UNITS)
-    assert found is None
+    said = []
+    assert direction._characteristics(DeadZone(0.3, None, 0, "given"), phase1, UNITS, said) is None
     part = "speed map, delay and response time"
     assert said[0] == f"could not be computed: {part} (FloatingPointError: too large)"
 

@@ -316,7 +316,8 @@ class NarxBaseline(Baseline):
             better = _refined(terms, coefficients, training)
             refined += [(error, lags, terms), (_error(terms, better, validation), lags, terms)]
         terms = min(refined, key=lambda row: row[0])[2]
-        coefficients = _refined(terms, _least_squares(terms, everything), everything)
+        one_step = np.linalg.lstsq(*everything.regression(terms), rcond=None)[0]
+        coefficients = _refined(terms, one_step, everything)
         return Narx(scaling, terms, coefficients, *scales)
 
     def skeleton(self, shapes: Sizes) -> Narx:
@@ -349,11 +350,6 @@ def _candidates(sections: Sections, lags: int) -> Iterator[tuple[np.ndarray, np.
     for size in dict.fromkeys(min(size, len(order)) for size in TERMS):
         chosen = order[:size]
         yield terms[chosen], np.linalg.lstsq(rows[:, chosen], target, rcond=None)[0]
-
-
-def _least_squares(terms: np.ndarray, sections: Sections) -> np.ndarray:
-    """Return the coefficients of the smallest error one step ahead."""
-    return np.linalg.lstsq(*sections.regression(terms), rcond=None)[0]
 
 
 def _refined(terms: np.ndarray, coefficients: np.ndarray, sections: Sections) -> np.ndarray:

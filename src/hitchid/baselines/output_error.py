@@ -34,10 +34,6 @@ def refine(parameters: np.ndarray, residuals: Residuals) -> np.ndarray:
 
     Levenberg and Marquardt's method, scaled by the derivative. A start whose simulation diverges is returned
     as it is, a step to parameters whose simulation diverges is not taken.
-
-    Args:
-        parameters: start, shape [P].
-        residuals: residuals and their derivative; not finite where a simulation diverges.
     """
     damping = INITIAL_DAMPING
     with np.errstate(all="ignore"):

@@ -9,6 +9,8 @@ from hitchid._support.jax_setup import prepare_jax
 from hitchid.cli.program import Force, Loads, ModelFolder, Signals, loads_of
 from hitchid.errors import InputError
 
+DEFAULT_COVERAGE = 90  # percent of the samples
+
 
 def simulate(
     model: ModelFolder,
@@ -36,9 +38,8 @@ def simulate(
     force: Force = False,
 ) -> None:
     """Write the predicted displacement beside a log's columns; with --initial commands alone are enough."""
-    from hitchid._support.files import check_file
+    from hitchid._support.files import check_file, check_inputs
     from hitchid.cli import terminal as display
-    from hitchid.cli.simulated_log import InitialValues, simulate_log
 
     check_file(out, force=force)
     check_inputs(out, [model, log, signals])
@@ -47,6 +48,7 @@ def simulate(
     if coverage is not None and not bands:
         raise InputError(f"--coverage: expected together with --bands, got --coverage {coverage:g} alone")
     prepare_jax()
+    from hitchid.cli.simulated_log import InitialValues, simulate_log
     from hitchid.model import load as load_model
 
     written = simulate_log(

@@ -215,6 +215,3 @@ def added_name(column: str, kind: str) -> str:
     """
     stem, separator, unit = column.partition("displacement_")
     return f"displacement_{kind}_{unit}" if separator and not stem else f"{column}_{kind}"
-
-
-DEFAULT_COVERAGE = 90  # percent of the samples

@@ -118,6 +118,11 @@ class Objective(eqx.Module):
         """Return the objective over other tests, its bounds and scales kept."""
         return replace(self, batch=batch)
 
+    def over(self, tests: Bool[np.ndarray, " t"]) -> "Objective":
+        """Return the objective over some of its tests; shapes stay the same, so nothing is recompiled."""
+        mask = np.broadcast_to(tests[:, None], self.batch.loss_mask.shape)
+        return self.with_data(self.batch.masked(jnp.asarray(mask)))
+
     def pooled(self) -> "Objective":
         """Return the objective without a factor on each test."""
         return replace(self, per_test_gain=False)
@@ -340,28 +345,23 @@ def _slopes(bounds: Bounds, position: Float[Array, " d"]) -> Float[Array, " d"]:
 
 
 def scales_of(batch: Batch, covariates: Sequence[str] = ()) -> Scales:
-    """Return the scales of the nonlinearities, from the samples of tests that count.
-
-    Args:
-        batch: the tests.
-        covariates: names of those that parameters vary with.
-    """
+    """Return the scales of the nonlinearities, from the samples of tests that count."""
     loss_mask = np.asarray(batch.loss_mask)
     displacement = np.asarray(batch.displacement)[loss_mask]
     lowest, highest = float(displacement.min()), float(displacement.max())
+    covariate_scales = CovariateScales.none()
+    if covariates:
+        loads = np.asarray(batch.load(covariates))[loss_mask.any(axis=1)]
+        spread = loads.std(axis=0)
+        covariate_scales = CovariateScales(
+            jnp.asarray(loads.mean(axis=0)), jnp.asarray(np.where(spread > 0, spread, 1.0))
+        )
     return Scales(
         command=jnp.asarray(float(np.abs(np.asarray(batch.command)[loss_mask]).max()) or 1.0),
         centre=jnp.asarray(0.5 * (lowest + highest)),
         span=jnp.asarray(0.5 * (highest - lowest) or 1.0),
-        covariates=_covariate_scales(batch, covariates) if covariates else CovariateScales.none(),
+        covariates=covariate_scales,
     )
-
-
-def _covariate_scales(batch: Batch, covariates: Sequence[str]) -> CovariateScales:
-    counted = np.asarray(batch.loss_mask).any(axis=1)
-    loads = np.asarray(batch.load(covariates))[counted]
-    spread = loads.std(axis=0)
-    return CovariateScales(jnp.asarray(loads.mean(axis=0)), jnp.asarray(np.where(spread > 0, spread, 1.0)))
 
 
 def _bounds(spec: ModelSpec, batch: Batch) -> Bounds:

@@ -113,7 +113,16 @@ def compare_searches(
             name = digest(f"{stamp} {search!r} {seed}".encode())
             run = partial(_run, coarse, problem, search, seed)
             shapes = {"fitness": ("g",), "values": ("g", "d")}
-            runs.append(_from_stored(comparison.checkpoints.cached(name, _StoredRun, run, shapes)))
+            stored = comparison.checkpoints.cached(name, _StoredRun, run, shapes)
+            runs.append(
+                SearchRun(
+                    tuple(value if np.isfinite(value) else None for value in stored.fitness.tolist()),
+                    tuple(tuple(row) for row in stored.values.tolist()),
+                    stored.evaluations,
+                    stored.failures,
+                    stored.reason,
+                )
+            )
         histories.append(SearchHistory(search.name, tuple(runs)))
     return tuple(histories)
 
@@ -140,14 +149,4 @@ def _run(objective: Objective, problem: SearchProblem, search: Search, seed: int
         result.evaluations,
         result.failures,
         result.reason,
-    )
-
-
-def _from_stored(run: _StoredRun) -> SearchRun:
-    return SearchRun(
-        fitness=tuple(fitness if np.isfinite(fitness) else None for fitness in run.fitness.tolist()),
-        values=tuple(tuple(row) for row in run.values.tolist()),
-        evaluations=run.evaluations,
-        failures=run.failures,
-        reason=run.reason,
     )

@@ -199,11 +199,6 @@ def begin(
     """Return a swarm before its first generation with an empty trace, and what all its moves draw.
 
     NumPy draws the random numbers: a compiled generator of them takes longer to compile than an objective.
-
-    Args:
-        dimensions: D.
-        config: settings.
-        seed: every random draw comes from it.
     """
     generations, rng = config.generations, np.random.default_rng(seed)
     empty = WhaleTrace(
@@ -216,12 +211,7 @@ def begin(
 
 
 def whale_result(carry: tuple[WhaleState, WhaleTrace], config: WhaleConfig) -> WhaleResult:
-    """Return what a swarm has found so far.
-
-    Args:
-        carry: of `begin` or `run_until`.
-        config: settings.
-    """
+    """Return what a swarm has found so far."""
     state, trace = carry
     return WhaleResult(state.best, state.best_fitness, state.generation, stagnated(state, config), trace)
 

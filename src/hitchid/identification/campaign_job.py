@@ -2,24 +2,22 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from hitchid._support.checkpoints import Checkpoints
 from hitchid._support.jax_setup import installed_versions
 from hitchid._support.precision import parallel
 from hitchid._support.progress import ProgressCallback, attempt, parallel_progress
 from hitchid.errors import InputError, SettingsError
-from hitchid.identification.channel_trace import ChannelConfig, ChannelTrace
-from hitchid.identification.config import IdentificationConfig
+from hitchid.identification.config import ChannelConfig, IdentificationConfig
 from hitchid.identification.dead_zone import DeadZone, slow_clock_factor
 from hitchid.identification.direction import with_calibrated_gain
 from hitchid.identification.mode_test import calibrate_gains, calibration_improves, compare_modes
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.preparation import ChannelData, mixed_dead_zones, prepare
-from hitchid.identification.result import Identification
+from hitchid.identification.result import ChannelTrace, Identification
 from hitchid.identification.rivals import trained_rivals
-from hitchid.identification.selection import AutoStructure
 from hitchid.logs.audit import feedback_of
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.from_rest import from_rest
@@ -108,23 +106,25 @@ class CampaignJob:
     channel_configs: Mapping[str, ChannelConfig]
 
     @classmethod
-    def of(cls, campaign: Campaign, config: IdentificationConfig, checkpoints: Checkpoints) -> "CampaignJob":
+    def of(cls, campaign: Campaign, config: IdentificationConfig, folder: Path | None) -> "CampaignJob":
         """Prepare a campaign; raises InputError as `identify` does."""
+        config = config.with_campaign_covariates(campaign)
+        checkpoints = config.checkpoints(folder, campaign)
         if campaign.unmatched:
             pattern = campaign.unmatched[0]
             raise InputError(
                 f"split.test: the pattern '{pattern}' matches none of the {len(campaign.records)} tests"
             )
         recorded, (campaign, in_motion) = campaign, from_rest(campaign)
-        specs = config.specs
         for direction, value in config.dead_zones.items():
             _check_dead_zone(campaign, direction, value)
-        for direction, spec in specs.items():
+        for direction, spec in config.specs.items():
             _check_covariates(campaign, direction, spec.covariate_names)
+        # A structure that takes the raw command has the dead zone in its own equations.
         dead_zones = {
             direction: DeadZone(0.0, None, 0, "structure")
-            for direction, spec in specs.items()
-            if _uses_raw_command(spec)
+            for direction, spec in config.specs.items()
+            if isinstance(spec, ModelSpec) and spec.structure.uses_raw_command
         }
         dead_zones |= {
             direction: DeadZone(value, None, 0, "given") for direction, value in config.dead_zones.items()
@@ -147,26 +147,15 @@ class CampaignJob:
                 "tests with commands well above the dead zone, and check the units of the "
                 "signals"
             )
-        channel_data = {
-            m: prepare(campaign, m, dead_zones.get(m), covariates=specs[m].covariate_names, cycles=cycles)
-            for m in campaign.directions
-        }
-        channel_data = {
-            m: replace(data, notices=(*in_motion, *data.notices)) for m, data in channel_data.items()
-        }
+        channel_data, channel_configs = {}, {}
+        for m in campaign.directions:
+            names = config.specs[m].covariate_names
+            data = prepare(campaign, m, dead_zones.get(m), covariates=names, cycles=cycles)
+            channel_data[m] = replace(data, notices=(*in_motion, *data.notices))
+            channel_configs[m] = config.channel(m, campaign, checkpoints)
         _check_window(config.training, channel_data)
-        channel_configs = {
-            m: _channel_config(config, m, campaign, checkpoints.child(m)) for m in campaign.directions
-        }
-        return cls(
-            campaign,
-            config,
-            cycles,
-            segmentation_dead_zones,
-            frozenset(fingerprints),
-            channel_data,
-            channel_configs,
-        )
+        seen = frozenset(fingerprints)
+        return cls(campaign, config, cycles, segmentation_dead_zones, seen, channel_data, channel_configs)
 
     def calibrate_gains(self, results: ChannelResults) -> ChannelResults:
         """Return the channels with gains calibrated on whole mixed logs.
@@ -184,13 +173,8 @@ class CampaignJob:
         )
         if factors is None:
             return _with_notices(results, notices)
-        return {
-            **results,
-            **{
-                direction: with_calibrated_gain(*results[direction], factor)
-                for direction, factor in factors.items()
-            },
-        }
+        scaled = {name: with_calibrated_gain(*results[name], factor) for name, factor in factors.items()}
+        return {**results, **scaled}
 
     def judge_on_cycles(self, results: ChannelResults) -> ChannelResults:
         """Return the channels without the compensators for free run where these make whole cycles worse."""
@@ -240,10 +224,18 @@ class CampaignJob:
     def assemble(self, results: ChannelResults) -> Identification:
         """Return channels as a model, whether they have compensators yet or not."""
         campaign, traces = self.campaign, {direction: trace for direction, (_, trace) in results.items()}
+        used = {}
+        for direction in results:
+            left_out = {test.name for test in self.channel_data[direction].left_out}
+            names = (record.name for record in campaign.identification(direction))
+            used[direction] = tuple(name for name in names if name not in left_out)
         provenance = Provenance(
-            identification={direction: self._used(direction) for direction in results},
+            identification=used,
             validation={direction: self.channel_data[direction].validation_names for direction in results},
-            held_out={direction: _names(campaign.held_out(direction)) for direction in results},
+            held_out={
+                direction: tuple(record.name for record in campaign.held_out(direction))
+                for direction in results
+            },
             seen=self.fingerprints,
             segmentation_dead_zones=self.segmentation_dead_zones,
             seed=self.config.seed,
@@ -264,11 +256,6 @@ class CampaignJob:
             },
         )
         return Identification(hitch, traces)
-
-    def _used(self, direction: str) -> tuple[str, ...]:
-        """Return the names of the tests that a direction is identified from."""
-        left_out = {test.name for test in self.channel_data[direction].left_out}
-        return tuple(name for name in _names(self.campaign.identification(direction)) if name not in left_out)
 
     def _records(self) -> tuple[Record, ...]:
         """Return the tests that are identified from, before strokes are cut."""
@@ -337,32 +324,8 @@ def _with_notices(results: ChannelResults, notices: Sequence[str]) -> ChannelRes
     }
 
 
-def _channel_config(
-    config: IdentificationConfig, direction: str, campaign: Campaign, checkpoints: Checkpoints
-) -> ChannelConfig:
-    return ChannelConfig(
-        spec=config.specs[direction],
-        paper_spec=config.paper_specs[direction],
-        search=config.search,
-        training=config.training,
-        seed=config.seed,
-        units={"x": campaign.units[DISPLACEMENT], "u": campaign.units[COMMAND[direction]]},
-        quick_rivals=config.rivals.quick,
-        checkpoints=checkpoints,
-    )
-
-
 def _fingerprints(campaign: Campaign, kinds: tuple[str, ...], recorded: Campaign) -> set[str]:
     """Return those of the tests that are used, as they are used and as they were recorded."""
     names = {record.name for kind in kinds for record in campaign.identification(kind)}
     records = (*campaign.records, *recorded.records)
     return {record.fingerprint for record in records if record.name in names}
-
-
-def _uses_raw_command(spec: ModelSpec | AutoStructure) -> bool:
-    """Return whether a structure takes the raw command, from which no dead zone is removed."""
-    return isinstance(spec, ModelSpec) and spec.structure.uses_raw_command
-
-
-def _names(records: tuple[Record, ...]) -> tuple[str, ...]:
-    return tuple(record.name for record in records)

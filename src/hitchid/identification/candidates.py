@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-import jax.numpy as jnp
 import numpy as np
 
 from hitchid._support.checkpoints import Cube, Shapes
@@ -113,12 +112,7 @@ def covariate_specs(spec: ModelSpec, covariate: str) -> list[tuple[str, ModelSpe
 
 
 def starts(spec: ModelSpec, previous: Sequence[Parameter]) -> Sequence[Mapping[str, float]]:
-    """Return starting positions, by name, of the parameters that a candidate adds to the one before it.
-
-    Args:
-        spec: the form.
-        previous: parameters of the form before it, empty for none.
-    """
+    """Return starting positions, by name, of the parameters that a candidate adds to the one before it."""
     names = {parameter.name for parameter in previous}
     if not names:
         return [{**first, "dead_time": DEAD_TIME_START} for first in SECOND_ORDER_STARTS]
@@ -266,9 +260,6 @@ def held_out_errors_of_choice(candidates: Sequence[Candidate]) -> np.ndarray:
     The error of the chosen candidate is too small, for these tests chose it. Here the choice is repeated from
     the other folds' tests, and the candidate it takes, fitted without the fold, is judged on the fold (Varma
     & Simon 2006, BMC Bioinformatics 7, 91). Only the fits to the other folds have seen it.
-
-    Args:
-        candidates: over the same held-out tests.
     """
     fold = candidates[0].fold
     errors = np.empty(fold.size)
@@ -313,7 +304,7 @@ def evaluate(
     rmse = pooled.error(positions)
     held_out, held_out_per_test_gain = [], []
     for held_tests in folds:
-        training_objective = _with_tests(objective, ~held_tests)
+        training_objective = objective.over(~held_tests)
         refitted = positions.copy()
         refitted[list(free)] = refine_subset(training_objective, free, [positions], REFIT_STEPS).position
         held_out += list(pooled.rmse_by_test(refitted)[held_tests])
@@ -327,14 +318,6 @@ def evaluation_shapes(objective: Objective, folds: Sequence[np.ndarray]) -> Shap
     held_out = (int(sum(held_tests.sum() for held_tests in folds)),)
     errors = dict.fromkeys(("held_out", "held_out_per_test_gain", "fold"), held_out)
     return {"positions": Cube((len(objective.spec.parameters),)), **errors}
-
-
-def _with_tests(objective: Objective, tests: np.ndarray) -> Objective:
-    """Return the objective over some of its tests; shapes stay the same, so nothing is recompiled."""
-    batch = objective.batch.masked(
-        jnp.asarray(np.broadcast_to(tests[:, None], objective.batch.loss_mask.shape))
-    )
-    return objective.with_data(batch)
 
 
 def operating_point_folds(batch: Batch, *, separate_tests: bool) -> list[np.ndarray]:

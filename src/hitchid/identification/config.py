@@ -1,8 +1,8 @@
-"""Configuration of an identification, and its description by the keys of the settings file."""
+"""Settings of an identification, one record each, and their description by the keys of the settings file."""
 
 import platform
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -11,28 +11,108 @@ import jax
 from hitchid._support import checks
 from hitchid._support.checkpoints import DISABLED, Checkpoints
 from hitchid._support.jax_setup import installed_versions
+from hitchid._support.records import short_repr
 from hitchid.errors import InputError
-from hitchid.estimation import DifferentialEvolution, MultiStart, Search, Whale
+from hitchid.estimation import DifferentialEvolution, MultiStart, Search, SearchComparison, Whale
 from hitchid.identification.phase2 import CompensatorConfig
-from hitchid.identification.rivals import RivalsConfig
 from hitchid.identification.selection import AutoStructure
 from hitchid.logs.campaign import Campaign
-from hitchid.logs.record import DIRECTIONS
+from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT, LIFTING, LOWERING
 from hitchid.structures import ModelSpec, registered_structures, structure_named
+
+PAPER_SPECS: Mapping[str, ModelSpec] = MappingProxyType(
+    {
+        LIFTING: ModelSpec(structure_named("integrator-second-order")),
+        LOWERING: ModelSpec(structure_named("first-order-lag")),
+    }
+)
+# By default the choice starts from integrators, which hold their place without a command.
+DEFAULT_STRUCTURES: Mapping[str, AutoStructure] = MappingProxyType(
+    {
+        LIFTING: AutoStructure(PAPER_SPECS[LIFTING]),
+        LOWERING: AutoStructure(ModelSpec(structure_named("integrator-first-order"))),
+    }
+)
+AUTOMATIC = "automatic"  # the name of the default choice of each direction
+WHALE = Whale()
+SEARCHES: Mapping[str, Search] = MappingProxyType(
+    {search.name: search for search in (WHALE, DifferentialEvolution(), MultiStart())}
+)
+TRAINING = CompensatorConfig()
+NO_DEAD_ZONES: Mapping[str, float] = MappingProxyType({})
+LARGEST_SEED = 2**32 - 1  # upper limit of the seeds of NumPy's and JAX's generators
+CAMPAIGN = 'a campaign as hitchid.read("logs") returns it'
+
+Structures = ModelSpec | AutoStructure | str | Mapping[str, ModelSpec | AutoStructure | str]
+
+
+@short_repr
+@dataclass(frozen=True)
+class RivalsConfig:
+    """Which rivals are fitted beside a model.
+
+    Attributes:
+        quick: those that cost little: ARX and the paper's transfer function; persistence costs nothing.
+        trained: also OE, NARX, the black-box LSTM, the paper's grey box, and baselines of other packages.
+        searches: with `trained`, the global searches that are compared; None compares none.
+    """
+
+    quick: bool = True
+    trained: bool = False
+    searches: SearchComparison | None = field(default_factory=SearchComparison)
+
+    @classmethod
+    def of(cls, rivals: "RivalsConfig | bool | None") -> "RivalsConfig":
+        """Return the setting of the argument `rivals` of `identify`.
+
+        Raises:
+            InputError: it is none of these.
+        """
+        if rivals is None:
+            return cls(quick=False)
+        if isinstance(rivals, bool):
+            return cls(trained=rivals)
+        return checks.instance(rivals, cls, "rivals", "True, False, None or RivalsConfig")
+
+
+@dataclass(frozen=True)
+class ChannelConfig:
+    """Settings of the identification of one direction.
+
+    Attributes:
+        spec: model specification of the benchmark, or its automatic choice.
+        paper_spec: model specification of the paper's method, fitted for comparison.
+        search, training, seed: see `identify`.
+        units: `x` and `u` to the units of displacement and command.
+        quick_rivals: whether the rivals that cost little are fitted.
+        checkpoints: store of finished partial results.
+    """
+
+    spec: ModelSpec | AutoStructure
+    paper_spec: ModelSpec
+    search: Search
+    training: CompensatorConfig | None
+    seed: int
+    units: Mapping[str, str]
+    quick_rivals: bool
+    checkpoints: Checkpoints
+
+    @property
+    def search_spec(self) -> ModelSpec:
+        """The structure that searches are compared on: the given one, or the first of an automatic choice."""
+        return self.spec.baseline_spec if isinstance(self.spec, AutoStructure) else self.spec
 
 
 @dataclass(frozen=True)
 class IdentificationConfig:
-    """Configuration of an identification; see `identify`.
+    """Settings of an identification; see `identify`.
 
     Attributes:
         specs: direction to the model specification of its benchmark, or its automatic choice.
-        paper_specs: direction to the paper's model specification.
         search, training, dead_zones, drift, rivals, seed: see `identify`.
     """
 
     specs: Mapping[str, ModelSpec | AutoStructure]
-    paper_specs: Mapping[str, ModelSpec]
     search: Search
     training: CompensatorConfig | None
     dead_zones: Mapping[str, float]
@@ -40,22 +120,88 @@ class IdentificationConfig:
     rivals: RivalsConfig
     seed: int
 
+    @classmethod
+    def of(
+        cls,
+        structure: Structures = DEFAULT_STRUCTURES,
+        search: Search | str = WHALE,
+        training: CompensatorConfig | None = TRAINING,
+        dead_zones: Mapping[str, float] = NO_DEAD_ZONES,
+        drift: bool = False,
+        rivals: RivalsConfig | bool | None = False,
+        seed: int = 0,
+    ) -> "IdentificationConfig":
+        """Return the settings that the arguments of `identify` give.
+
+        Raises:
+            InputError: an argument has the wrong type, or a value outside its limits.
+        """
+        if isinstance(search, str):
+            search = SEARCHES[checks.one_of(search, SEARCHES, "search")]
+        checks.instance(
+            search, Search, "search", f"one of {', '.join(SEARCHES)}, or a Search of hitchid.estimation"
+        )
+        checks.instance(training, (CompensatorConfig, type(None)), "training", "CompensatorConfig or None")
+        checks.instance(drift, bool, "drift", "True or False")
+        if checks.integer(seed, "seed") > LARGEST_SEED:
+            raise checks.input_error("seed", f"at most {LARGEST_SEED}", seed)
+        for direction, dead_zone in checks.mapping_of(dead_zones, DIRECTIONS, "dead_zones").items():
+            if checks.number(dead_zone, f"dead_zones, {direction}") < 0:
+                raise InputError(f"dead_zones, {direction}: expected at least 0, got {dead_zone}")
+        if isinstance(structure, str | ModelSpec | AutoStructure):
+            structure = dict.fromkeys(DIRECTIONS, structure)
+        structures = checks.mapping_of(structure, DIRECTIONS, "structure")
+        specs = {
+            direction: _spec_of(structures.get(direction, AUTOMATIC), direction) for direction in DIRECTIONS
+        }
+        return cls(specs, search, training, dead_zones, drift, RivalsConfig.of(rivals), seed)
+
     def with_campaign_covariates(self, campaign: Campaign) -> "IdentificationConfig":
-        """Return the configuration with the campaign's covariates where an automatic choice names none."""
+        """Return the settings with the campaign's covariates where an automatic choice names none."""
         return replace(
             self,
             specs={
-                direction: _with_covariates(spec, campaign.covariates)
+                direction: replace(spec, covariate_names=campaign.covariates)
+                if isinstance(spec, AutoStructure) and not spec.covariate_names
+                else spec
                 for direction, spec in self.specs.items()
             },
         )
 
+    def channel(self, direction: str, campaign: Campaign, checkpoints: Checkpoints) -> ChannelConfig:
+        """Return the settings of one direction of a campaign."""
+        return ChannelConfig(
+            spec=self.specs[direction],
+            paper_spec=PAPER_SPECS[direction],
+            search=self.search,
+            training=self.training,
+            seed=self.seed,
+            units={"x": campaign.units[DISPLACEMENT], "u": campaign.units[COMMAND[direction]]},
+            quick_rivals=self.rivals.quick,
+            checkpoints=checkpoints.child(direction),
+        )
+
     def describe(self) -> dict[str, object]:
-        """Return the configuration as JSON values."""
+        """Return the settings as JSON values, by the keys of the settings file as far as it has them."""
+        search = _flat(asdict(self.search)) if is_dataclass(self.search) else {}
+        training: dict[str, object] = {"compensator": False}
+        if self.training is not None:
+            free_run = self.training.free_run
+            training = {
+                "compensator": True,
+                "hidden": self.training.hidden,
+                "window": self.training.window,
+                **asdict(self.training.adam),
+                "free_run": free_run is not None,
+                **({f"free_run_{key}": value for key, value in asdict(free_run).items()} if free_run else {}),
+            }
         return {
             "structure": {direction: _describe_spec(spec) for direction, spec in self.specs.items()},
-            "search": _describe_search(self.search),
-            "training": _describe_training(self.training),
+            "search": {
+                "method": self.search.name,
+                **{key: value for key, value in search.items() if key != "name"},
+            },
+            "training": training,
             "dead_zones": dict(self.dead_zones),
             "drift": self.drift,
         }
@@ -82,12 +228,19 @@ class IdentificationConfig:
         return Checkpoints.of_run(folder, {**self.stamp, "campaign": campaign.digest})
 
 
-def _with_covariates(
-    spec: ModelSpec | AutoStructure, covariates: tuple[str, ...]
-) -> ModelSpec | AutoStructure:
-    if isinstance(spec, AutoStructure) and not spec.covariate_names:
-        return replace(spec, covariate_names=covariates)
-    return spec
+def check_campaign(value: object) -> Campaign:
+    """Return a campaign; raises InputError for anything else, such as the folder to read it from."""
+    return checks.instance(value, Campaign, "campaign", CAMPAIGN)
+
+
+def _spec_of(value: object, direction: str) -> ModelSpec | AutoStructure:
+    if value == AUTOMATIC:
+        return DEFAULT_STRUCTURES[direction]
+    if isinstance(value, str):
+        return ModelSpec(structure_named(value))
+    names = ", ".join((AUTOMATIC, *registered_structures()))
+    required = f"one of {names}, or a ModelSpec or AutoStructure"
+    return checks.instance(value, (ModelSpec, AutoStructure), f"structure, {direction}", required)
 
 
 def _describe_spec(spec: ModelSpec | AutoStructure) -> dict[str, object]:
@@ -107,103 +260,9 @@ def _describe_spec(spec: ModelSpec | AutoStructure) -> dict[str, object]:
     }
 
 
-def _describe_search(search: Search) -> dict[str, object]:
-    """Return the settings of a search by the keys of the settings file, as far as it has them."""
-    values = asdict(search) if is_dataclass(search) else {}
-    return {"method": search.name, **{key: value for key, value in _flat(values).items() if key != "name"}}
-
-
-def _describe_training(training: CompensatorConfig | None) -> dict[str, object]:
-    """Return the settings of the training by the keys of the settings file, as far as it has them."""
-    if training is None:
-        return {"compensator": False}
-    free_run = training.free_run
-    return {
-        "compensator": True,
-        "hidden": training.hidden,
-        "window": training.window,
-        **asdict(training.adam),
-        "free_run": free_run is not None,
-        **({} if free_run is None else {f"free_run_{key}": value for key, value in asdict(free_run).items()}),
-    }
-
-
 def _flat(values: Mapping[str, object]) -> dict[str, object]:
     """Return a mapping with the entries of nested mappings in their place."""
     flat = {}
     for key, value in values.items():
         flat |= _flat(value) if isinstance(value, Mapping) else {key: value}
     return flat
-
-
-# Checks of the arguments of an identification, and the configuration made from them.
-
-LARGEST_SEED = 2**32 - 1  # upper limit of the seeds of NumPy's and JAX's generators
-AUTOMATIC = "automatic"  # the name of the default choice of each direction
-SEARCHES: Mapping[str, Search] = MappingProxyType(
-    {search.name: search for search in (Whale(), DifferentialEvolution(), MultiStart())}
-)
-CAMPAIGN = 'a campaign as hitchid.read("logs") returns it'
-
-Structures = ModelSpec | AutoStructure | str | Mapping[str, ModelSpec | AutoStructure | str]
-
-
-def check_campaign(value: object) -> Campaign:
-    """Return a campaign; raises InputError for anything else, such as the folder to read it from."""
-    return checks.instance(value, Campaign, "campaign", CAMPAIGN)
-
-
-def identification_config(
-    default_specs: Mapping[str, ModelSpec | AutoStructure],
-    paper_specs: Mapping[str, ModelSpec],
-    *,
-    structure: Structures,
-    search: Search | str,
-    training: CompensatorConfig | None,
-    dead_zones: Mapping[str, float],
-    drift: bool,
-    rivals: RivalsConfig | bool | None,
-    seed: int,
-) -> IdentificationConfig:
-    """Return the configuration of an identification; see `identify`.
-
-    Args:
-        default_specs: direction to its model specification or automatic choice, where `structure` has none.
-        paper_specs: direction to the paper's model specification.
-        structure, search, training, dead_zones, drift, rivals, seed: see `identify`.
-
-    Raises:
-        InputError: an argument has the wrong type, or a value outside its limits.
-    """
-    if isinstance(search, str):
-        search = SEARCHES[checks.one_of(search, SEARCHES, "search")]
-    checks.instance(
-        search, Search, "search", f"one of {', '.join(SEARCHES)}, or a Search of hitchid.estimation"
-    )
-    checks.instance(training, (CompensatorConfig, type(None)), "training", "CompensatorConfig or None")
-    checks.instance(drift, bool, "drift", "True or False")
-    if checks.integer(seed, "seed") > LARGEST_SEED:
-        raise checks.input_error("seed", f"at most {LARGEST_SEED}", seed)
-    for direction, dead_zone in checks.mapping_of(dead_zones, DIRECTIONS, "dead_zones").items():
-        if checks.number(dead_zone, f"dead_zones, {direction}") < 0:
-            raise InputError(f"dead_zones, {direction}: expected at least 0, got {dead_zone}")
-    if isinstance(structure, str | ModelSpec | AutoStructure):
-        structure = dict.fromkeys(DIRECTIONS, structure)
-    structures = checks.mapping_of(structure, DIRECTIONS, "structure")
-    specs = {
-        direction: _spec_of(structures.get(direction, AUTOMATIC), direction, default_specs[direction])
-        for direction in DIRECTIONS
-    }
-    return IdentificationConfig(
-        specs, paper_specs, search, training, dead_zones, drift, RivalsConfig.of(rivals), seed
-    )
-
-
-def _spec_of(value: object, direction: str, default: ModelSpec | AutoStructure) -> ModelSpec | AutoStructure:
-    if value == AUTOMATIC:
-        return default
-    if isinstance(value, str):
-        return ModelSpec(structure_named(value))
-    names = ", ".join((AUTOMATIC, *registered_structures()))
-    required = f"one of {names}, or a ModelSpec or AutoStructure"
-    return checks.instance(value, (ModelSpec, AutoStructure), f"structure, {direction}", required)

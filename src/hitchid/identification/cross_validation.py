@@ -12,11 +12,18 @@ from hitchid._support.tables import Summarised, Summary, dataframe, first_notes
 from hitchid.errors import HitchError, InputError
 from hitchid.estimation import Search
 from hitchid.identification.candidates import operating_points
-from hitchid.identification.config import Structures, check_campaign
-from hitchid.identification.identify import DEFAULT_STRUCTURES, NO_DEAD_ZONES, TRAINING, WHALE, identify_many
+from hitchid.identification.config import (
+    DEFAULT_STRUCTURES,
+    NO_DEAD_ZONES,
+    TRAINING,
+    WHALE,
+    RivalsConfig,
+    Structures,
+    check_campaign,
+)
+from hitchid.identification.identify import identify_many
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.result import Identification
-from hitchid.identification.rivals import RivalsConfig
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.record import CYCLE, Record
 from hitchid.model import Hitch
@@ -200,7 +207,13 @@ def divide(campaign: Campaign, count: int, seed: int) -> tuple[Fold, ...]:
     held_out: list[list[Record]] = [[] for _ in range(count)]
     for kind in campaign.directions or (CYCLE,):
         records = campaign.of_kind(kind)
-        points = _operating_points(campaign, kind)
+        # Tests at one level of command share a point, unless a covariate may differ between them; every mixed
+        # cycle is a point of its own.
+        points = np.arange(len(records))
+        if kind != CYCLE:
+            magnitudes = [np.abs(record.command(kind)) for record in records]
+            levels = np.array([float(row[row > 0].mean()) for row in magnitudes])
+            points = operating_points(levels, separate_tests=bool(campaign.covariates))
         present = np.unique(points)
         if present.size < count:
             raise InputError(
@@ -212,25 +225,6 @@ def divide(campaign: Campaign, count: int, seed: int) -> tuple[Fold, ...]:
         for record, point in zip(records, points.tolist(), strict=True):
             held_out[fold_of_point[point]].append(record)
     return tuple(_fold(campaign, records) for records in held_out)
-
-
-def _operating_points(campaign: Campaign, kind: str) -> np.ndarray:
-    """Return the index of the operating point of each test of one kind, shape [T].
-
-    As in the choice of a structure, tests at one level of command share a point, unless a covariate may
-    differ between them. Every mixed cycle is a point of its own.
-    """
-    records = campaign.of_kind(kind)
-    if kind == CYCLE:
-        return np.arange(len(records))
-    levels = np.array([_level(record.command(kind)) for record in records])
-    return operating_points(levels, separate_tests=bool(campaign.covariates))
-
-
-def _level(command: np.ndarray) -> float:
-    """Return the mean magnitude of a command where it is not zero."""
-    magnitude = np.abs(command)
-    return float(magnitude[magnitude > 0].mean())
 
 
 def _fold(campaign: Campaign, held_out: Sequence[Record]) -> Fold:

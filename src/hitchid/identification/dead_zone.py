@@ -196,12 +196,7 @@ def from_tests(tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], step_
 
 
 def _half_width_without_jackknife(candidates: np.ndarray, groups: np.ndarray) -> float:
-    """Return the distance from the best dead zone within which the fit worsens by at most its standard error.
-
-    Args:
-        candidates: dead zones, shape [C].
-        groups: normal equations of each group, shape [G, C, 6, 6].
-    """
+    """Return how far from the best dead zone the fit worsens by its standard error at most."""
     squares = []
     for number, (gains, _) in enumerate(_gains(groups.sum(axis=0))):
         weights = np.append(gains, -1.0)

@@ -1,15 +1,17 @@
 """One direction from its tests to a channel: benchmark and compensators, with their uncertainty."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
-from functools import partial
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, attempt, split_progress
-from hitchid.identification.channel_trace import ChannelConfig, ChannelTrace, timed
+from hitchid.estimation.training import TrainingHistory
+from hitchid.identification.config import ChannelConfig
 from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.held_out import HeldOut, cross_fitted
 from hitchid.identification.held_out_training import (
@@ -24,11 +26,12 @@ from hitchid.identification.held_out_training import (
 from hitchid.identification.load_filter_fit import with_load_filters
 from hitchid.identification.mode_test import with_gain
 from hitchid.identification.phase1 import Phase1, identify_benchmark
-from hitchid.identification.phase2 import epoch_callback, with_compensator
+from hitchid.identification.phase2 import CompensatorConfig, epoch_callback, with_compensator
 from hitchid.identification.preparation import ChannelData
+from hitchid.identification.result import ChannelTrace
 from hitchid.identification.rivals import quick_rivals
 from hitchid.identification.selection import AutoStructure, Candidate, choose_spec
-from hitchid.identification.speed_training import train_speed_compensator
+from hitchid.identification.speed_training import HoldoutTest, train_speed_compensator
 from hitchid.logs.record import DIRECTIONS
 from hitchid.model import Bands, Channel, Characteristics, Uncertainty
 from hitchid.model.estimates import MAX_INTERVAL_RATIO, Estimate
@@ -36,10 +39,29 @@ from hitchid.networks.operating_range import OperatingRange, SignalRange
 from hitchid.structures import Batch
 from hitchid.structures.structure import DEAD_TIME
 from hitchid.uncertainty import characteristics, information_of, load_scatter
-from hitchid.uncertainty.conformal import HeldOutErrors
 
 POOR_FIT = 0.05  # RMSE in free run over the travel, from which on something is not as assumed (chosen)
 FEWEST_LOADS = 3  # tests, of which two differences are left beside the gain
+
+
+@dataclass(frozen=True)
+class _Log:
+    """Progress, notices and durations of one direction, added to as the work goes on."""
+
+    parts: Mapping[str, ProgressCallback]
+    notices: list[str] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def tell(self, part: str, doing: str) -> None:
+        """Report the start of a part."""
+        self.parts[part](ProgressUpdate(doing, 0.0))
+
+    @contextmanager
+    def timed(self, name: str) -> Iterator[None]:
+        """Store the duration of the block, s, under a name."""
+        started = time.perf_counter()
+        yield
+        self.seconds[name] = time.perf_counter() - started
 
 
 def find_benchmark(
@@ -47,41 +69,48 @@ def find_benchmark(
 ) -> tuple[Channel, ChannelTrace]:
     """Identify the benchmark of one direction (phase 1).
 
-    Args:
-        data: its tests.
-        config: settings.
-        progress: called with what is being done and the fraction that is done.
-
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
     """
-    seconds: dict[str, float] = {}
-    parts = split_progress(progress, {"benchmark": 0.85, "speed map": 0.15})
-    with timed(seconds, "benchmark"):
-        phase1, candidates = _fit_benchmark(data, config, parts["benchmark"])
+    log = _Log(split_progress(progress, {"benchmark": 0.85, "speed map": 0.15}), list(data.notices))
+    tests, unit = data.all_tests, config.units["x"]
+    with log.timed("benchmark"):
+        phase1, candidates = _fit_benchmark(data, config, log.parts["benchmark"])
     phase1 = _within_update_interval(phase1, data.update_s)
-    data = data.with_dead_zone(_revised_dead_zone(data.dead_zone, candidates))
-    channel = data.channel(phase1.benchmark, operating_range_of(data.all_tests, phase1.benchmark.covariates))
-    parts["speed map"](ProgressUpdate("speed map", 0.0))
-    with timed(seconds, "speed map"):
-        operating_characteristics, characteristics_notices = _characteristics(
-            data.dead_zone, phase1, config.units
+    travel = float(np.max(np.abs(np.asarray(tests.travel)) * np.asarray(tests.loss_mask)))
+    if phase1.rmse > POOR_FIT * travel:
+        log.notices.append(
+            f"poor fit: the RMSE of {phase1.rmse:.3g} {unit} is {phase1.rmse / travel:.0%} of the travel; "
+            "check the logs (hitchid inspect), and say known end stops: "
+            "end_stops = [low, high] in campaign.toml"
         )
-    trace = ChannelTrace(
-        dead_zone=data.dead_zone,
+    log.notices.extend(
+        f"{estimate.name.replace('_', ' ')}: {estimate.verdict}"
+        for estimate in phase1.parameter_estimates
+        if not estimate.determined
+    )
+    # The form that was chosen may have a smaller dead zone; its shift is part of the error.
+    dead_zone = data.dead_zone
+    for candidate in candidates:
+        if candidate.chosen and candidate.dead_zone != dead_zone.value:
+            shift = abs(candidate.dead_zone - dead_zone.value)
+            dead_zone = replace(
+                dead_zone, value=candidate.dead_zone, spread=max(dead_zone.spread or 0.0, shift)
+            )
+    data = data.with_dead_zone(dead_zone)
+    channel = data.channel(phase1.benchmark, operating_range_of(data.all_tests, phase1.benchmark.covariates))
+    log.tell("speed map", "speed map")
+    with log.timed("speed map"):
+        operating_characteristics = _characteristics(dead_zone, phase1, config.units, log.notices)
+    return channel, ChannelTrace(
+        dead_zone=dead_zone,
         phase1=phase1,
-        notices=(
-            *data.notices,
-            *_poor_fit_notices(phase1, data.all_tests, config.units["x"]),
-            *_undetermined_notices(phase1),
-            *characteristics_notices,
-        ),
+        notices=tuple(log.notices),
         candidates=candidates,
-        seconds=seconds,
+        seconds=log.seconds,
         uncertainty=Uncertainty(phase1.assessment, characteristics=operating_characteristics),
         characteristics=operating_characteristics,
     )
-    return channel, trace
 
 
 def with_calibrated_gain(
@@ -105,68 +134,12 @@ def find_compensators(
     config: ChannelConfig,
     progress: ProgressCallback,
 ) -> tuple[Channel, ChannelTrace]:
-    """Train the compensators of one direction (phase 2), and fit the rivals that cost little.
+    """Fit the load filter, train the compensators (phase 2), fit quick rivals, and calibrate the bands.
 
-    Args:
-        channel, trace: of phase 1.
-        data, config, progress: as for `find_benchmark`.
+    What fails leaves a notice.
     """
-    seconds, initial_data, data = dict(trace.seconds), data, data.with_dead_zone(trace.dead_zone)
-    parts = split_progress(progress, _phase2_shares(config))
-    held_out, filter_notices = cross_fitted(channel, trace.phase1), []
-    parts["load filter"](ProgressUpdate("filter for loads that are not measured", 0.0))
-    with timed(seconds, "load filter"):
-        filtered = attempt(
-            "load filter", lambda: with_load_filters(channel, held_out, data.all_tests), filter_notices
-        )
-    channel, held_out = filtered or (channel, held_out)
-    trace = replace(trace, notices=(*trace.notices, *filter_notices))
-    if config.training is None:
-        calibrate = partial(_bands, channel, trace.phase1, data.all_tests, held_out)
-        return channel, _finished(trace, data, initial_data, config, calibrate, seconds, parts)
-    keys = jax.random.split(
-        jax.random.fold_in(jax.random.key(config.seed), DIRECTIONS.index(data.direction)), 4
-    )
-    stage = "training the correction of predictions"
-    parts["compensator"](ProgressUpdate(stage, 0.0))
-    with timed(seconds, "compensator"):
-        channel, training_history = with_compensator(
-            channel,
-            data,
-            config.training,
-            keys[0],
-            epoch_callback(parts["compensator"], stage),
-            config.checkpoints.child("compensator"),
-        )
-    trace = replace(trace, phase2=training_history)
-    if config.training.free_run is not None:
-        parts["free runs"](ProgressUpdate("training the correction of free runs", 0.0))
-        with timed(seconds, "compensator for free run"):
-            judged = train_speed_compensator(
-                channel,
-                held_out,
-                data.all_tests,
-                config.training.free_run,
-                config.seed,
-                config.checkpoints,
-            )
-        channel, held_out = replace(channel, speed_compensator=judged.compensator), judged.held_out
-        notices = (*trace.notices, judged.holdout_test.sentence)
-        trace = replace(trace, holdout_test=judged.holdout_test, notices=notices)
-    compensator_training = CompensatorTraining(config.training, training_history.best_epoch, keys[0])
-    parts["horizon"](ProgressUpdate("how far ahead the correction holds", 0.0))
-    with timed(seconds, "compensator's horizon"):
-        judged = _judged(channel, held_out, data.all_tests, compensator_training)
-    channel, held_out = judged.channel, judged.held_out
-    trace = replace(trace, notices=(*trace.notices, *judged.notices))
-    calibrate = partial(_bands, channel, trace.phase1, data.all_tests, held_out, judged.errors)
-    return channel, _finished(trace, data, initial_data, config, calibrate, seconds, parts)
-
-
-def _phase2_shares(config: ChannelConfig) -> dict[str, float]:
-    """Return the parts of phase 2 with their relative work (measured at default settings)."""
-    training = config.training
-    parts = {
+    initial_data, data, training = data, data.with_dead_zone(trace.dead_zone), config.training
+    shares = {  # relative work (measured at default settings)
         "load filter": 0.1,
         "compensator": 0.35 if training else 0.0,
         "free runs": 0.1 if training and training.free_run else 0.0,
@@ -175,51 +148,89 @@ def _phase2_shares(config: ChannelConfig) -> dict[str, float]:
         "bands": 0.05,
         "information": 0.05,
     }
-    return {name: share for name, share in parts.items() if share}
-
-
-def _finished(
-    trace: ChannelTrace,
-    data: ChannelData,
-    initial_data: ChannelData,
-    config: ChannelConfig,
-    calibrate: Callable[[], Bands | None],
-    seconds: dict[str, float],
-    parts: Mapping[str, ProgressCallback],
-) -> ChannelTrace:
-    """Return the trace with quick rivals, bands and information; what fails leaves a notice."""
-    notices: list[str] = []
+    parts = split_progress(progress, {name: share for name, share in shares.items() if share})
+    log, batch, phase1 = _Log(parts, list(trace.notices), dict(trace.seconds)), data.all_tests, trace.phase1
+    held_out = cross_fitted(channel, phase1)
+    log.tell("load filter", "filter for loads that are not measured")
+    with log.timed("load filter"):
+        filtered = attempt("load filter", lambda: with_load_filters(channel, held_out, batch), log.notices)
+    channel, held_out = filtered or (channel, held_out)
+    errors, history, holdout_test = None, None, None
+    if training is not None:
+        judged, history, holdout_test = _trained(channel, held_out, data, training, config, log)
+        channel, held_out, errors = judged.channel, judged.held_out, judged.errors
     rivals = None
     if config.quick_rivals:
-        with timed(seconds, "rivals"):
+        with log.timed("rivals"):
             rivals = quick_rivals(data, initial_data, config, trace.candidates, parts["rivals"])
-        notices += rivals.notices
-    parts["bands"](ProgressUpdate("bands around predictions", 0.0))
-    with timed(seconds, "bands"):
-        bands = attempt("bands around predictions", calibrate, notices)
-    notices += band_notices(data.all_tests.command.shape[0])
-    parts["information"](ProgressUpdate("information for the design of tests", 0.0))
-    fit = trace.phase1.fit
-    information = attempt(
-        "information for the design of tests",
-        lambda: information_of(fit.objective, fit.position, trace.phase1.influence),
-        notices,
-    )
+        log.notices.extend(rivals.notices)
+    log.tell("bands", "bands around predictions")
+    tests = batch.command.shape[0]
+
+    def bands_of_channel() -> Bands | None:
+        return None if tests < FEWEST_TESTS else calibrate_bands(channel, phase1, batch, held_out, errors)
+
+    with log.timed("bands"):
+        bands = attempt("bands around predictions", bands_of_channel, log.notices)
+    log.notices.extend(band_notices(tests))
+    stage = "information for the design of tests"
+    log.tell("information", stage)
+    objective, position, influence = phase1.fit.objective, phase1.fit.position, phase1.influence
+    information = attempt(stage, lambda: information_of(objective, position, influence), log.notices)
     scatter = None
     if len(data.names) >= FEWEST_LOADS:
         scatter = attempt(
             "scatter of the load between tests",
-            lambda: load_scatter(fit.objective, fit.position, trace.phase1.influence.free, data.names),
-            notices,
+            lambda: load_scatter(objective, position, influence.free, data.names),
+            log.notices,
         )
-    uncertainty = Uncertainty(trace.phase1.assessment, bands, information, trace.characteristics, scatter)
-    return replace(
+    return channel, replace(
         trace,
-        uncertainty=uncertainty,
+        phase2=history,
+        holdout_test=holdout_test,
+        uncertainty=Uncertainty(phase1.assessment, bands, information, trace.characteristics, scatter),
         rivals=rivals,
-        seconds=seconds,
-        notices=(*trace.notices, *notices),
+        seconds=log.seconds,
+        notices=tuple(log.notices),
     )
+
+
+def _trained(
+    channel: Channel,
+    held_out: tuple[HeldOut, ...],
+    data: ChannelData,
+    training: CompensatorConfig,
+    config: ChannelConfig,
+    log: _Log,
+) -> tuple[JudgedCompensator, TrainingHistory, HoldoutTest | None]:
+    """Return a channel with its compensators, for predictions and for free run, as far as they help."""
+    direction_key = jax.random.fold_in(jax.random.key(config.seed), DIRECTIONS.index(data.direction))
+    key, stage = jax.random.split(direction_key, 4)[0], "training the correction of predictions"
+    log.tell("compensator", stage)
+    with log.timed("compensator"):
+        channel, history = with_compensator(
+            channel,
+            data,
+            training,
+            key,
+            epoch_callback(log.parts["compensator"], stage),
+            config.checkpoints.child("compensator"),
+        )
+    holdout_test = None
+    if training.free_run is not None:
+        log.tell("free runs", "training the correction of free runs")
+        with log.timed("compensator for free run"):
+            compensator, holdout_test, held_out = train_speed_compensator(
+                channel, held_out, data.all_tests, training.free_run, config.seed, config.checkpoints
+            )
+        channel = replace(channel, speed_compensator=compensator)
+        log.notices.append(holdout_test.sentence)
+    log.tell("horizon", "how far ahead the correction holds")
+    with log.timed("compensator's horizon"):
+        how = CompensatorTraining(training, history.best_epoch, key)
+        judged = _judged(channel, held_out, data.all_tests, how)
+    log.notices.extend(judged.notices)
+    return judged, history, holdout_test
 
 
 def _judged(
@@ -246,26 +257,8 @@ def _judged(
     return judged
 
 
-def _bands(
-    channel: Channel,
-    phase1: Phase1,
-    batch: Batch,
-    held_out: Sequence[HeldOut],
-    predicted: Mapping[int, HeldOutErrors] | None = None,
-) -> Bands | None:
-    """Return the bands of a channel; None where there are too few tests."""
-    if batch.command.shape[0] < FEWEST_TESTS:
-        return None
-    return calibrate_bands(channel, phase1, batch, held_out, predicted)
-
-
 def operating_range_of(batch: Batch, covariates: Sequence[str]) -> OperatingRange:
-    """Return the ranges of signals in tests, over the samples that count.
-
-    Args:
-        batch: the tests.
-        covariates: names of those that the model uses.
-    """
+    """Return the ranges of signals in tests, over the samples that count."""
     loss_mask = np.asarray(batch.loss_mask)
     loads = batch.load(covariates)
 
@@ -280,26 +273,23 @@ def operating_range_of(batch: Batch, covariates: Sequence[str]) -> OperatingRang
 
 
 def _characteristics(
-    dead_zone: DeadZone, phase1: Phase1, units: Mapping[str, str]
-) -> tuple[Characteristics | None, list[str]]:
+    dead_zone: DeadZone, phase1: Phase1, units: Mapping[str, str], notices: list[str]
+) -> Characteristics | None:
     """Return the operating characteristics; a notice takes their place where they cannot be computed."""
-    notices: list[str] = []
-    influence = phase1.influence
-    if not influence.free.any():
-        return None, notices
-    result = attempt(
+    if not phase1.influence.free.any():
+        return None
+    return attempt(
         "speed map, delay and response time",
         lambda: characteristics(
             phase1.fit.objective,
             phase1.fit.position,
-            influence,
+            phase1.influence,
             dead_zone=dead_zone.to_quantity(units["u"]),
             dead_zone_error=dead_zone.error,
             units=units,
         ),
         notices,
     )
-    return result, notices
 
 
 def _within_update_interval(phase1: Phase1, update_s: float) -> Phase1:
@@ -323,26 +313,6 @@ def _within_update_interval(phase1: Phase1, update_s: float) -> Phase1:
 
     parameters = tuple(widened(estimate) for estimate in phase1.assessment.parameters)
     return replace(phase1, assessment=replace(phase1.assessment, parameters=parameters))
-
-
-def _poor_fit_notices(phase1: Phase1, tests: Batch, unit: str) -> list[str]:
-    """Return what to look for where the error is a large share of the travel."""
-    travel = float(np.max(np.abs(np.asarray(tests.travel)) * np.asarray(tests.loss_mask)))
-    if not phase1.rmse > POOR_FIT * travel:
-        return []
-    return [
-        f"poor fit: the RMSE of {phase1.rmse:.3g} {unit} is {phase1.rmse / travel:.0%} of the travel; check "
-        "the logs (hitchid inspect), and say known end stops: end_stops = [low, high] in campaign.toml"
-    ]
-
-
-def _undetermined_notices(phase1: Phase1) -> list[str]:
-    """Return the verdict on each parameter that the tests do not determine."""
-    return [
-        f"{estimate.name.replace('_', ' ')}: {estimate.verdict}"
-        for estimate in phase1.parameter_estimates
-        if not estimate.determined
-    ]
 
 
 def _fit_benchmark(
@@ -373,12 +343,3 @@ def _fit_benchmark(
         checkpoints=config.checkpoints,
     )
     return phase1, ()
-
-
-def _revised_dead_zone(dead_zone: DeadZone, candidates: Iterable[Candidate]) -> DeadZone:
-    """Return the dead zone of the structure chosen; its shift is part of its error."""
-    selected = next((candidate for candidate in candidates if candidate.chosen), None)
-    if selected is None or selected.dead_zone == dead_zone.value:
-        return dead_zone
-    shift = abs(selected.dead_zone - dead_zone.value)
-    return replace(dead_zone, value=selected.dead_zone, spread=max(dead_zone.spread or 0.0, shift))

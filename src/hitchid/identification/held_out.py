@@ -42,15 +42,11 @@ def cross_fitted(channel: Channel, phase1: Phase1) -> tuple[HeldOut, ...]:
     """Return for each fold of tests the channel with the benchmark refitted without it, uncompensated.
 
     A fold without which the refit fails keeps the parameters of all tests. A gain calibration stays.
-
-    Args:
-        channel: with the benchmark of all tests.
-        phase1: its fit.
     """
     uncompensated = replace(channel, compensator=None, speed_compensator=None)
     folds = folds_of(phase1.fit.objective.batch.command.shape[0])
     return tuple(
-        HeldOut(tests, _with_position(uncompensated, phase1, _refitted(phase1, tests))) for tests in folds
+        HeldOut(tests, with_position(uncompensated, phase1, _refitted(phase1, tests))) for tests in folds
     )
 
 
@@ -72,7 +68,8 @@ def of_tests(rows: object, tests: np.ndarray) -> np.ndarray:
     return np.asarray(rows)[..., : int(tests.sum()), :]
 
 
-def _with_position(channel: Channel, phase1: Phase1, position: np.ndarray) -> Channel:
+def with_position(channel: Channel, phase1: Phase1, position: np.ndarray) -> Channel:
+    """Return a channel with the benchmark at another position; a calibration of its gain stays."""
     objective = phase1.fit.objective
     benchmark = objective.spec.physical_model(jnp.asarray(objective.values(position)), objective.scales)
     if objective.spec.structure.gain:
@@ -82,12 +79,10 @@ def _with_position(channel: Channel, phase1: Phase1, position: np.ndarray) -> Ch
 
 def _refitted(phase1: Phase1, held_out: Bool[np.ndarray, " t"]) -> Float[np.ndarray, " d"]:
     objective, position = phase1.fit.objective, phase1.fit.position
-    loss_mask = jnp.asarray(np.broadcast_to(~held_out[:, None], objective.batch.loss_mask.shape))
-    training = objective.with_data(objective.batch.masked(loss_mask))
     free = np.flatnonzero(phase1.influence.free).tolist()
     if not free or held_out.all():
         return position
-    refitted = position.copy()
+    training, refitted = objective.over(~held_out), position.copy()
     try:
         refitted[free] = refine_subset(training, free, [position], STEPS).position
     except FitError:

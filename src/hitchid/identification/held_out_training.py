@@ -19,6 +19,7 @@ from hitchid.identification.held_out import (
     held_out_errors,
     held_out_free_runs,
     rows_of_tests,
+    with_position,
 )
 from hitchid.identification.phase1 import Phase1
 from hitchid.identification.phase2 import (
@@ -73,11 +74,6 @@ def judge_compensator(channel: Channel, held_out: Sequence[HeldOut], batch: Batc
     Farther ahead than a sample a compensator reads its own output, for which it was not trained: its error
     may grow from sample to sample. It gets the largest horizon with which no root mean square error, up to
     100 samples or a second ahead, is more than twice that of the load filter alone.
-
-    Args:
-        channel: with a compensator.
-        held_out: channels with compensators, trained without each fold.
-        batch: all tests.
     """
     horizons = calibrated_horizons(batch.step_s)
     uncorrected = held_out_errors(_all_up_to(held_out, 0), batch, horizons)
@@ -100,11 +96,7 @@ def judge_compensator(channel: Channel, held_out: Sequence[HeldOut], batch: Batc
 
 
 def diverging(errors: Mapping[int, HeldOutErrors], uncorrected: Mapping[int, HeldOutErrors]) -> int | None:
-    """Return the first horizon at which errors are more than twice those without a correction; None for none.
-
-    Args:
-        errors, uncorrected: horizon, ascending, to the errors of held-out tests.
-    """
+    """Return the first horizon at which errors exceed twice those without a correction; None for none."""
     # An error that is not finite is larger than any.
     return next((h for h in errors if not _rmse(errors[h]) <= DIVERGED * _rmse(uncorrected[h])), None)
 
@@ -172,11 +164,7 @@ def calibrate_bands(
 
 
 def band_notices(tests: int) -> list[str]:
-    """Return sentences on the levels for which there are too few tests.
-
-    Args:
-        tests: number of identification tests.
-    """
+    """Return sentences on the levels for which there are too few tests."""
     if tests < FEWEST_TESTS:
         return [f"no bands around predictions: they require {FEWEST_TESTS} tests, there are {tests}"]
     wanting = [level for level in LEVELS if tests < fewest_tests(level)]
@@ -211,13 +199,17 @@ def _ensemble(channel: Channel, phase1: Phase1) -> list[EnsembleMember]:
     A member deviates by at most a quarter of the range between bounds and lies within the bounds.
     """
     influence, position = phase1.influence, phase1.fit.position
+
+    def vector_at(position: np.ndarray) -> tuple[float, ...]:
+        return tuple(map(float, with_position(channel, phase1, position).benchmark.parameter_vector))
+
     sizes, axes = np.linalg.eigh(influence.covariance)
     ensemble = []
     for size, axis in zip(np.sqrt(np.maximum(sizes, 0.0)), axes.T, strict=True):
         step = size * axis
         step *= min(1.0, MAX_STEP / max(float(np.abs(step).max()), MAX_STEP))
         shifted = position + step if np.all(np.abs(position + step - 0.5) <= 0.5) else position - step
-        ensemble.append(EnsembleMember(_parameter_vector(channel, phase1, np.clip(shifted, 0.0, 1.0))))
+        ensemble.append(EnsembleMember(vector_at(np.clip(shifted, 0.0, 1.0))))
     if channel.speed_compensator is not None:
         members = channel.speed_compensator.members
         parameter_vector = tuple(map(float, channel.benchmark.parameter_vector))
@@ -226,19 +218,6 @@ def _ensemble(channel: Channel, phase1: Phase1) -> list[EnsembleMember]:
             for member in range(members)
         ]
     return ensemble
-
-
-def _parameter_vector(channel: Channel, phase1: Phase1, position: np.ndarray) -> tuple[float, ...]:
-    """Return the benchmark's parameter vector at a position, with the gain calibration of the channel."""
-    objective = phase1.fit.objective
-    vector = np.array(
-        objective.spec.physical_model(
-            jnp.asarray(objective.values(position)), objective.scales
-        ).parameter_vector
-    )
-    if objective.spec.structure.gain:
-        vector[objective.spec.structure.gain_index] *= float(channel.benchmark.gain) / phase1.fit.gain
-    return tuple(map(float, vector))
 
 
 Tree = TypeVar("Tree")
@@ -265,11 +244,6 @@ def with_compensators(
 
     All are trained by one program, and for as many epochs as that of the channel, so that no further
     tests are needed to stop them: they then learn from as many tests as the channel's own.
-
-    Args:
-        held_out: benchmarks fitted without each fold.
-        batch: all tests.
-        training: how the compensator of the channel was trained.
     """
     settings, epochs, key = training
     compensators, sequences = [], []

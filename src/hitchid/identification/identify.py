@@ -3,44 +3,33 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import ParamSpec, TypeVar
 
-from hitchid._support.checks import named_arguments, path, tuple_of
-from hitchid._support.precision import double_precision
-from hitchid._support.progress import (
-    ProgressCallback,
-    ProgressUpdate,
-    parallel,
-    parallel_progress,
-    split_progress,
-)
+from hitchid._support.checks import instance, named_arguments, path, tuple_of
+from hitchid._support.precision import double_precision, parallel
+from hitchid._support.progress import ProgressCallback, ProgressUpdate, parallel_progress, split_progress
 from hitchid._support.progress_display import shown
-from hitchid.errors import HitchError
-from hitchid.estimation import Search, Whale
-from hitchid.identification.campaign_job import (
-    CampaignJob,
-    ChannelResults,
-)
-from hitchid.identification.channel_trace import ChannelTrace
+from hitchid.errors import HitchError, InputError
+from hitchid.estimation import Search, SearchComparison
+from hitchid.identification.campaign_job import CampaignJob, ChannelResults
 from hitchid.identification.config import (
     CAMPAIGN,
+    DEFAULT_STRUCTURES,
+    NO_DEAD_ZONES,
+    TRAINING,
+    WHALE,
     IdentificationConfig,
+    RivalsConfig,
     Structures,
     check_campaign,
-    identification_config,
 )
+from hitchid.identification.config import PAPER_SPECS as PAPER_SPECS
 from hitchid.identification.direction import find_benchmark, find_compensators
 from hitchid.identification.phase2 import CompensatorConfig
-from hitchid.identification.result import Identification
-from hitchid.identification.rivals import RivalsConfig
-from hitchid.identification.selection import AutoStructure
+from hitchid.identification.result import ChannelTrace, Identification
+from hitchid.identification.settings_file import settings_of_model
 from hitchid.logs.campaign import Campaign
-from hitchid.logs.record import LIFTING, LOWERING
-from hitchid.model import Channel
-from hitchid.structures import ModelSpec, structure_named
-
-# Identification of several campaigns phase by phase, with all directions in parallel.
+from hitchid.model import Channel, Hitch
 
 # Parts of an identification with their relative work (measured at default settings).
 SHARES = {"tests": 0.03, "phase 1": 0.45, "phase 2": 0.5, "model": 0.02}
@@ -62,29 +51,17 @@ def run_pipeline(
 ) -> tuple[Identification | HitchError, ...]:
     """Carry out phase 1, then phase 2, and put the models together.
 
-    Args:
-        campaigns: of one machine each.
-        config: configuration, the same for all.
-        progress: called with the current task and the completed fraction.
-        checkpoints: folder of finished partial results, for one campaign.
-        on_physics: called with each model of phase 1, before compensators are trained; what it returns is
-            shown with the progress.
-
     Returns:
         In the order of the campaigns the identification, or the error that ended it.
     """
 
     shares = SHARES if config.training else SHARES_WITHOUT_TRAINING
-    rivals_share = {"rivals": RIVALS_SHARE} if config.rivals.trained else {}
-    parts = split_progress(progress, {**shares, **rivals_share})
+    parts = split_progress(progress, shares | ({"rivals": RIVALS_SHARE} if config.rivals.trained else {}))
     parts["tests"](ProgressUpdate("finding dead zones in the tests", 0.0))
-
-    def prepare_job(campaign: Campaign) -> CampaignJob:
-        campaign_config = config.with_campaign_covariates(campaign)
-        return CampaignJob.of(campaign, campaign_config, campaign_config.checkpoints(checkpoints, campaign))
-
-    numbers = range(len(campaigns))
-    jobs_or_errors = parallel(lambda number: _result_or_error(prepare_job, campaigns[number]), numbers)
+    jobs_or_errors = parallel(
+        lambda number: _result_or_error(CampaignJob.of, campaigns[number], config, checkpoints),
+        range(len(campaigns)),
+    )
     jobs = {number: job for number, job in jobs_or_errors.items() if isinstance(job, CampaignJob)}
     keys = [(number, direction) for number, job in jobs.items() for direction in job.channel_configs]
 
@@ -105,12 +82,6 @@ def run_pipeline(
     def build_model(number: int) -> Identification:
         return jobs[number].build_model(_campaign_results(phase2_results, number))
 
-    def with_rivals(number: int, identification: Identification | HitchError) -> Identification | HitchError:
-        if isinstance(identification, HitchError):
-            return identification
-        model = jobs[number].with_rivals(identification.model, parts["rivals"])
-        return replace(identification, model=model)
-
     phase1_results = _phase(run_phase1, keys, parts["phase 1"])
     calibrated_results = parallel(lambda number: _result_or_error(calibrate_gains, number), jobs)
     if on_physics is not None and config.training is not None:
@@ -121,11 +92,14 @@ def run_pipeline(
     phase2_results = _phase(run_phase2, keys, parts["phase 2"])
     if jobs:
         parts["model"](ProgressUpdate("putting the model together", 0.0))
-    models = parallel(lambda number: _result_or_error(build_model, number), jobs)
+    outcomes = dict(parallel(lambda number: _result_or_error(build_model, number), jobs))
     if config.rivals.trained:
-        models = {number: with_rivals(number, models[number]) for number in jobs}
+        for number, outcome in outcomes.items():
+            if isinstance(outcome, Identification):
+                model = jobs[number].with_rivals(outcome.model, parts["rivals"])
+                outcomes[number] = replace(outcome, model=model)
     return tuple(
-        job if isinstance(job, HitchError) else models[number] for number, job in jobs_or_errors.items()
+        job if isinstance(job, HitchError) else outcomes[number] for number, job in jobs_or_errors.items()
     )
 
 
@@ -163,24 +137,6 @@ def _result_or_error(
         return work(*args, **kwargs)
     except HitchError as error:
         return error
-
-
-PAPER_SPECS: Mapping[str, ModelSpec] = MappingProxyType(
-    {
-        LIFTING: ModelSpec(structure_named("integrator-second-order")),
-        LOWERING: ModelSpec(structure_named("first-order-lag")),
-    }
-)
-# By default the choice starts from integrators, which hold their place without a command.
-DEFAULT_STRUCTURES: Mapping[str, AutoStructure] = MappingProxyType(
-    {
-        LIFTING: AutoStructure(PAPER_SPECS[LIFTING]),
-        LOWERING: AutoStructure(ModelSpec(structure_named("integrator-first-order"))),
-    }
-)
-WHALE = Whale()
-TRAINING = CompensatorConfig()
-NO_DEAD_ZONES: Mapping[str, float] = MappingProxyType({})
 
 
 @named_arguments
@@ -231,17 +187,7 @@ def identify(
             argument does not fit.
         FitError: the identification could not be carried out on these data.
     """
-    config = identification_config(
-        DEFAULT_STRUCTURES,
-        PAPER_SPECS,
-        structure=structure,
-        search=search,
-        training=training,
-        dead_zones=dead_zones,
-        drift=drift,
-        rivals=rivals,
-        seed=seed,
-    )
+    config = IdentificationConfig.of(structure, search, training, dead_zones, drift, rivals, seed)
     folder = None if checkpoints is None else path(checkpoints, "checkpoints")
     with shown(progress) as report:
         (result,) = run_pipeline([check_campaign(campaign)], config, report, folder, on_physics)
@@ -278,17 +224,51 @@ def identify_many(
         In the order of the campaigns the identification, or the error with which it ended; an error does not
         affect the others.
     """
-    config = identification_config(
-        DEFAULT_STRUCTURES,
-        PAPER_SPECS,
-        structure=structure,
-        search=search,
-        training=training,
-        dead_zones=dead_zones,
-        drift=drift,
-        rivals=rivals,
-        seed=seed,
-    )
+    config = IdentificationConfig.of(structure, search, training, dead_zones, drift, rivals, seed)
     checked_campaigns = tuple_of(campaigns, Campaign, "campaigns", f"several, each {CAMPAIGN}")
     with shown(progress) as report:
         return run_pipeline(checked_campaigns, config, report)
+
+
+COMPARED_SEARCHES = SearchComparison()
+
+
+@named_arguments
+@double_precision
+def train_rivals(
+    model: Hitch,
+    campaign: Campaign,
+    *,
+    searches: SearchComparison | None = COMPARED_SEARCHES,
+    progress: ProgressCallback | bool | None = True,
+    checkpoints: str | Path | None = None,
+) -> Hitch:
+    """Return a model with all its rivals, trained on the tests that the model was identified from.
+
+    They are ARX, OE, NARX, a black-box LSTM, the method of Sun et al. 2025, and baselines of other packages,
+    with the settings and the seed of the identification.
+
+    Args:
+        model: an identified model.
+        campaign: the tests that it was identified from, and those held out.
+        searches: the global searches of the parameters that are compared; None compares none.
+        progress, checkpoints: as for `identify`.
+
+    Raises:
+        InputError: the campaign is not that of the model, or an argument does not fit.
+    """
+    instance(model, Hitch, "model", "a model as hitchid.load returns it")
+    settings = settings_of_model(model.provenance.settings)
+    rivals = RivalsConfig(trained=True, searches=searches)
+    config = IdentificationConfig.of(**{**settings, "seed": model.provenance.seed, "rivals": rivals})
+    campaign = check_campaign(campaign)
+    folder = None if checkpoints is None else path(checkpoints, "checkpoints")
+    job = CampaignJob.of(campaign, config, folder)
+    if job.fingerprints != model.provenance.seen:
+        raise InputError(
+            "rivals are trained on the tests of their model: expected the logs and the split that it was "
+            f"identified from, got {len(job.fingerprints & model.provenance.seen)} of "
+            f"{len(model.provenance.seen)} of them and {len(job.fingerprints - model.provenance.seen)} others"
+        )
+    with shown(progress) as report:
+        return job.with_rivals(model, report)

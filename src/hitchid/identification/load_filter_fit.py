@@ -55,19 +55,14 @@ class FilteredTests(NamedTuple):
 def with_load_filters(
     channel: Channel, held_out: Sequence[HeldOut], batch: Batch
 ) -> tuple[Channel, tuple[HeldOut, ...]]:
-    """Return a channel and those fitted without each fold, each with the filter of its own tests.
-
-    Args:
-        channel: without a filter.
-        held_out: channels fitted without each fold, without filters.
-        batch: all identification tests.
-    """
+    """Return a channel and those fitted without each fold, each with the filter of its own tests."""
     runs = held_out_free_runs(held_out, batch)
     load_filter = fit_load_filter(batch, runs)
-    filtered = [
-        HeldOut(tests, replace(fold, load_filter=fit_load_filter(_without(batch, tests), runs, load_filter)))
-        for tests, fold in held_out
-    ]
+    filtered = []
+    for tests, fold in held_out:
+        others = batch if tests.all() else batch.masked(jnp.asarray(~tests)[:, None])
+        refitted = fit_load_filter(others, runs, load_filter)
+        filtered.append(HeldOut(tests, replace(fold, load_filter=refitted)))
     return replace(channel, load_filter=load_filter), tuple(filtered)
 
 
@@ -129,11 +124,6 @@ def fit_load_filter(
     if not np.isfinite(found.fun):
         raise FitError("no parameters give a finite likelihood")
     return LoadFilter(*(jnp.asarray(value) for value in typical * np.exp(found.x)))
-
-
-def _without(batch: Batch, tests: Bool[np.ndarray, " t"]) -> Batch:
-    """Return the batch with errors over the other tests; over all where there is no other."""
-    return batch if tests.all() else batch.masked(jnp.asarray(~tests)[:, None])
 
 
 def _filtered_tests(batch: Batch, benchmark: np.ndarray) -> FilteredTests:

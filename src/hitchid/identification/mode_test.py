@@ -33,10 +33,6 @@ def calibrate_gains(hitch: Hitch, records: Sequence[Record]) -> dict[str, float]
     a whole record it adds up. Least squares over the logarithms of the factors, each test weighing the
     same.
 
-    Args:
-        hitch: benchmarks identified from strokes.
-        records: the mixed records they come from.
-
     Returns:
         Direction to factor, within ±10 %; a channel without a gain is left out.
     """
@@ -59,9 +55,6 @@ def calibration_improves(hitch: Hitch, records: Sequence[Record]) -> bool:
     """Return whether factors fitted to the other records improve records held out in turn.
 
     To first order in the logarithms of the factors; see `better_on_held_out_tests`. False for one record.
-
-    Args:
-        hitch, records: as for `calibrate_gains`.
     """
     directions = _with_gains(hitch)
     zeros = np.zeros(len(directions))
@@ -141,9 +134,6 @@ def compare_modes(channel_data: Mapping[str, ChannelData]) -> TwoModes | None:
     significantly at 5 %; see `difference_test`. A parameter that lies at a bound of its search in one of the
     three fits has no standard error: it stays at its value in the shared model and is not compared.
 
-    Args:
-        channel_data: direction to its tests.
-
     Returns:
         The comparison, with the free-run errors of both on every fourth test held out in turn; None where
         there is one direction only, or fewer tests than parameters and one.
@@ -190,7 +180,7 @@ def _difference(
             for tests, position in zip(directions, held, strict=True)
         ]
     scores = [
-        Scores.by_test(_over(objective, tests), position).select_parameters(free)
+        Scores.by_test(objective.over(tests), position).select_parameters(free)
         for tests, position in zip(directions, held, strict=True)
     ]
     names = [parameter.name for parameter, is_free in zip(SPEC.parameters, free, strict=True) if is_free]
@@ -264,12 +254,6 @@ def _fit(
     columns = np.arange(start.size) if free is None else np.flatnonzero(free)
     position = start.copy()
     position[columns] = refine_subset(
-        _over(objective, tests), columns.tolist(), [start], limit, TOLERANCE
+        objective.over(tests), columns.tolist(), [start], limit, TOLERANCE
     ).position
     return position
-
-
-def _over(objective: Objective, tests: Bool[np.ndarray, " t"]) -> Objective:
-    """Return the objective over some tests; shapes stay the same, so nothing recompiles."""
-    loss_mask = jnp.asarray(np.broadcast_to(tests[:, None], objective.batch.loss_mask.shape))
-    return objective.with_data(objective.batch.masked(loss_mask))

@@ -171,10 +171,12 @@ def untrained_compensator(
     features, innovations = _features(batch, benchmark, load_filter)
     mask = np.asarray(loss_mask)
     rows = features[mask]
+    spread = rows.std(axis=0)
+    varies = spread > 1e-12 * np.maximum(1.0, np.abs(rows).max(axis=0))
     compensator = Compensator(
         network=Lstm.init(key, len(FEATURES), settings.hidden),
         centre=jnp.asarray(rows.mean(axis=0)),
-        spread=jnp.asarray(_spread(rows)),
+        spread=jnp.asarray(np.where(varies, spread, 1.0)),
         error_step=jnp.asarray(max(float(innovations[:, 1:][mask[:, 1:]].std()), np.finfo(np.float32).tiny)),
         window=settings.window,
     )
@@ -193,12 +195,6 @@ def _features(
     before, _ = _estimates(load_filter, samples.benchmark, samples.displacement, batch.step_s)
     innovations = displacement - modelled - np.asarray(before.error).T
     return np.swapaxes(np.asarray(features), 0, 1), innovations
-
-
-def _spread(rows: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of each feature, 1 where it is constant."""
-    spread = rows.std(axis=0)
-    return np.where(spread > 1e-12 * np.maximum(1.0, np.abs(rows).max(axis=0)), spread, 1.0)
 
 
 def _sequences(

@@ -129,7 +129,10 @@ def prepare(
     left_out = [*without_covariate, *at_end_stop]
     records = _without_long_rests(records, direction)
     left_out_sentences = map(str, left_out_notices(left_out, total, f"{direction} tests"))
-    notices = [*_log_notices(records), *left_out_sentences]
+    # Strokes of one log share its notices; `log#003` is a stroke of `log`.
+    logs = [(record.name.partition(STROKE_SEPARATOR)[0], record.notices) for record in records]
+    log_notices = dict.fromkeys(f"{name}: {notice}" for name, texts in logs for notice in texts)
+    notices = [*log_notices, *left_out_sentences]
     if sign != _expected_sign(direction):
         notices.append(
             f"the displacement {'increases' if sign > 0 else 'decreases'} in {direction}; "
@@ -180,12 +183,6 @@ def prepare(
         left_out=tuple(left_out),
         update_s=update_s,
     )
-
-
-def _log_notices(records: Sequence[Record]) -> list[str]:
-    """Return the notices of logs; strokes of one log share them, and `log#003` is a stroke of `log`."""
-    logs = [(record.name.partition(STROKE_SEPARATOR)[0], record.notices) for record in records]
-    return list(dict.fromkeys(f"{name}: {notice}" for name, notices in logs for notice in notices))
 
 
 def mixed_dead_zones(campaign: Campaign) -> dict[str, DeadZone]:

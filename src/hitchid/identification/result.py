@@ -2,19 +2,64 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from hitchid._support.precision import double_precision
+from hitchid._support.records import short_repr
 from hitchid._support.tables import Summarised, Summary, first_notes
-from hitchid.identification.channel_trace import ChannelTrace
+from hitchid.estimation.training import TrainingHistory
+from hitchid.identification.candidates import Candidate, held_out_errors_of_choice
+from hitchid.identification.dead_zone import DeadZone
+from hitchid.identification.phase1 import Phase1
+from hitchid.identification.speed_training import HoldoutTest
 from hitchid.logs.record import DISPLACEMENT
-from hitchid.model import Hitch, save
+from hitchid.model import Characteristics, Hitch, Rivals, Uncertainty, save
 from hitchid.model.summary import hitch_summary
 
-# The trace of an identification as JSON values.
+MAX_NOTICES = 3  # that are shown; chosen
+
+
+@short_repr
+@dataclass(frozen=True)
+class ChannelTrace:
+    """How one direction was identified.
+
+    Attributes:
+        dead_zone: the dead zone and its origin.
+        phase1: benchmark, parameters, search.
+        phase2: losses of the training of the compensator for predictions; None where none was trained.
+        holdout_test: test of the compensator for free run on tests held out; None where none was trained.
+        notices: remarks on the data and on choices made automatically.
+        candidates: the candidates that were compared by an automatic choice of structure.
+        seconds: name of each fit to its duration, s.
+        uncertainty: of the channel.
+        rivals: fitted to the same tests.
+        characteristics: speed map, dead zone, delay and response time; None where there are none.
+    """
+
+    dead_zone: DeadZone
+    phase1: Phase1
+    phase2: TrainingHistory | None = None
+    holdout_test: HoldoutTest | None = None
+    notices: tuple[str, ...] = ()
+    candidates: tuple[Candidate, ...] = ()
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    uncertainty: Uncertainty | None = None
+    rivals: Rivals | None = None
+    characteristics: Characteristics | None = None
+
+    @property
+    def choice_held_out_rmse(self) -> float | None:
+        """Free-run RMSE on operating points that neither fitted nor chose the structure.
+
+        See `held_out_errors_of_choice`; None where no structure was chosen.
+        """
+        if not self.candidates:
+            return None
+        return float(np.sqrt(np.mean(held_out_errors_of_choice(self.candidates) ** 2)))
 
 
 @double_precision
@@ -24,46 +69,34 @@ def describe_channel(trace: ChannelTrace) -> dict:
     What is not finite (the standard error of an undetermined parameter) is null.
     """
     dead_zone, phase1, phase2, holdout_test = trace.dead_zone, trace.phase1, trace.phase2, trace.holdout_test
-    search_result, objective = phase1.fit.search_result, phase1.fit.searched
+    search, objective = phase1.fit.search_result, phase1.fit.searched
     # A smaller form may have been searched: of its parameters those that the model has.
     names = {estimate.name for estimate in phase1.parameter_estimates}
-    searched = {
-        parameter.name: column
-        for parameter, column in zip(
-            objective.spec.parameters, objective.values(search_result.best_trace).T, strict=True
-        )
-        if parameter.name in names
-    }
+    columns = zip(objective.spec.parameters, objective.values(search.best_trace).T, strict=True)
+    searched = {parameter.name: column for parameter, column in columns if parameter.name in names}
     return {
-        "dead_zone": {
-            "value": dead_zone.value,
-            "spread": dead_zone.spread,
-            "count": dead_zone.count,
-            "origin": dead_zone.origin,
-        },
+        "dead_zone": {key: getattr(dead_zone, key) for key in ("value", "spread", "count", "origin")},
         "characteristics": None if trace.characteristics is None else asdict(trace.characteristics),
         "phase1": {
             "uncertainty": asdict(phase1.assessment),
             "rmse": phase1.rmse,
             "rmse_before_polish": phase1.search_rmse,
-            "evaluations": search_result.evaluations,
-            "failures": search_result.failures,
-            "reason": search_result.reason,
-            "fitness": [_finite(value) for value in search_result.fitness_trace],
+            "evaluations": search.evaluations,
+            "failures": search.failures,
+            "reason": search.reason,
+            "fitness": [_finite(value) for value in search.fitness_trace],
             "searched": list(searched),
             "values": np.column_stack(list(searched.values())).tolist(),
         },
-        "phase2": None
-        if phase2 is None
-        else {
+        "phase2": phase2
+        and {
             "training_loss": [_finite(value) for value in phase2.training],
             "validation_loss": [_finite(value) for value in phase2.validation],
             "best_epoch": phase2.best_epoch,
             "reason": phase2.stop_reason.value,
         },
-        "gate": None
-        if holdout_test is None
-        else {
+        "gate": holdout_test
+        and {
             "open": holdout_test.accepted,
             "benchmark": holdout_test.benchmark.tolist(),
             "compensated": holdout_test.compensated.tolist(),
@@ -87,9 +120,6 @@ def describe_channel(trace: ChannelTrace) -> dict:
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-MAX_NOTICES = 3  # that are shown; chosen
 
 
 @dataclass(frozen=True, repr=False)

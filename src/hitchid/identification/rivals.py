@@ -5,21 +5,18 @@ longer than the model, only on request.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key, PRNGKeyArray
 
-from hitchid._support import checks
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, attempt, split_progress
-from hitchid._support.records import short_repr
 from hitchid.baselines.baseline import Baseline, FitContext, FittedBaseline
 from hitchid.baselines.registry import all_baselines
-from hitchid.estimation import Objective, SearchComparison, SearchHistory, compare_searches
+from hitchid.estimation import Objective, SearchComparison, compare_searches
 from hitchid.identification.candidates import Candidate
-from hitchid.identification.channel_trace import ChannelConfig
+from hitchid.identification.config import ChannelConfig
 from hitchid.identification.phase1 import find_parameters, identify_benchmark
 from hitchid.identification.phase2 import CompensatorConfig, epoch_callback, with_compensator
 from hitchid.identification.preparation import ChannelData
@@ -31,35 +28,6 @@ from hitchid.structures import PhysicalModel
 # Gradient steps of a baseline's training for an epoch of the compensator's: 3000 by default, and a short
 # training shortens both; chosen.
 STEPS_PER_EPOCH = 10
-
-
-@short_repr
-@dataclass(frozen=True)
-class RivalsConfig:
-    """Which rivals are fitted beside a model.
-
-    Attributes:
-        quick: those that cost little: ARX and the paper's transfer function; persistence costs nothing.
-        trained: also OE, NARX, the black-box LSTM, the paper's grey box, and baselines of other packages.
-        searches: with `trained`, the global searches that are compared; None compares none.
-    """
-
-    quick: bool = True
-    trained: bool = False
-    searches: SearchComparison | None = field(default_factory=SearchComparison)
-
-    @classmethod
-    def of(cls, rivals: "RivalsConfig | bool | None") -> "RivalsConfig":
-        """Return the setting of the argument `rivals` of `identify`.
-
-        Raises:
-            InputError: it is none of these.
-        """
-        if rivals is None:
-            return cls(quick=False)
-        if isinstance(rivals, bool):
-            return cls(trained=rivals)
-        return checks.instance(rivals, cls, "rivals", "True, False, None or RivalsConfig")
 
 
 def quick_rivals(
@@ -154,19 +122,21 @@ def _compare_searches(
     objective: Objective, searches: SearchComparison, config: ChannelConfig
 ) -> tuple[SearchSummary, ...]:
     """Return summaries of the global searches, each run from several seeds."""
-    return tuple(_search_summary(history) for history in compare_searches(objective, searches, config.seed))
-
-
-def _search_summary(history: SearchHistory) -> SearchSummary:
-    median_run = history.runs[int(np.argsort(history.final_fitnesses)[len(history.runs) // 2])]
-    return SearchSummary(
-        history.name,
-        tuple(run.final_fitness for run in history.runs),
-        tuple(run.evaluations for run in history.runs),
-        tuple(run.failures for run in history.runs),
-        median_run.fitness,
-        median_run.values,
-    )
+    summaries = []
+    for history in compare_searches(objective, searches, config.seed):
+        runs = history.runs
+        median_run = runs[int(np.argsort(history.final_fitnesses)[len(runs) // 2])]
+        summaries.append(
+            SearchSummary(
+                history.name,
+                tuple(run.final_fitness for run in runs),
+                tuple(run.evaluations for run in runs),
+                tuple(run.failures for run in runs),
+                median_run.fitness,
+                median_run.values,
+            )
+        )
+    return tuple(summaries)
 
 
 def _fit_baselines(

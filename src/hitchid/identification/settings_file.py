@@ -18,10 +18,14 @@ from hitchid.estimation import (
     WhaleConfig,
 )
 from hitchid.estimation.training import AdamConfig
-from hitchid.identification.config import LARGEST_SEED, identification_config
-from hitchid.identification.identify import DEFAULT_STRUCTURES, PAPER_SPECS, TRAINING, WHALE
+from hitchid.identification.config import (
+    AUTOMATIC,
+    DEFAULT_STRUCTURES,
+    LARGEST_SEED,
+    IdentificationConfig,
+    RivalsConfig,
+)
 from hitchid.identification.phase2 import CompensatorConfig
-from hitchid.identification.rivals import RivalsConfig
 from hitchid.identification.selection import AutoStructure
 from hitchid.identification.speed_training import SpeedCompensatorConfig
 from hitchid.logs.record import DIRECTIONS
@@ -29,7 +33,6 @@ from hitchid.logs.signal_map import Strict, describe, parse_settings
 from hitchid.model.schema import KeptSettings
 from hitchid.structures import CovariateEffects, ModelSpec, structure_named
 
-AUTOMATIC = "automatic"
 Count = Annotated[int, Field(ge=1, le=10**9)]
 
 
@@ -187,9 +190,6 @@ def read_settings(path: Path) -> Settings:
 def settings_of_model(described: Mapping[str, Any]) -> Settings:
     """Return the settings of an identification from what its model says of them; defaults where it is silent.
 
-    Args:
-        described: `Provenance.settings`, made by `IdentificationConfig.describe`.
-
     Raises:
         SettingsError: they cannot be understood.
     """
@@ -221,16 +221,7 @@ def stamp_of(settings: Settings) -> dict[str, object]:
     Raises:
         InputError: an argument does not fit.
     """
-    defaults: Settings = {
-        "structure": DEFAULT_STRUCTURES,
-        "search": WHALE,
-        "training": TRAINING,
-        "dead_zones": {},
-        "drift": False,
-        "rivals": False,
-        "seed": 0,
-    }
-    return identification_config(DEFAULT_STRUCTURES, PAPER_SPECS, **{**defaults, **settings}).stamp
+    return IdentificationConfig.of(**settings).stamp
 
 
 def _spec(direction: str, section: ChannelSection) -> ModelSpec | AutoStructure:

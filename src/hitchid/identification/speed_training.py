@@ -147,10 +147,13 @@ def train_speed_compensator(
 
 def _held_out_errors(held_out: Sequence[HeldOut], batch: Batch) -> Float[np.ndarray, " t"]:
     """Return the free-run error of each test by the channel fitted without it."""
-    errors = np.zeros(batch.command.shape[0])
+    rmse = np.zeros(batch.command.shape[0])
     for tests, channel in held_out:
-        errors[tests] = _rmse_by_test(channel, batch)[tests]
-    return errors
+        errors = np.asarray(channel.simulate(batch)) - np.asarray(batch.displacement)
+        for test in np.flatnonzero(tests):
+            row = errors[test][np.asarray(batch.loss_mask[test])]
+            rmse[test] = float(np.sqrt(np.mean(row**2))) if row.size else 0.0
+    return rmse
 
 
 class _FreeRuns(NamedTuple):
@@ -283,12 +286,3 @@ def _untrained(channel: Channel, runs: _FreeRuns, settings: SpeedCompensatorConf
         operating_range=channel.operating_range,
         sign=channel.sign,
     )
-
-
-def _rmse_by_test(channel: Channel, batch: Batch) -> Float[np.ndarray, " t"]:
-    """Return the free-run error of each test over the samples that count."""
-    errors = np.asarray(channel.simulate(batch)) - np.asarray(batch.displacement)
-    rows: Sequence[np.ndarray] = [
-        row[mask] for row, mask in zip(errors, np.asarray(batch.loss_mask), strict=True)
-    ]
-    return np.array([float(np.sqrt(np.mean(row**2))) if row.size else 0.0 for row in rows])

@@ -162,15 +162,7 @@ def _unroll_backward(
 def _gate_gradients(
     weights: LstmWeights, valid: Array, residuals: VjpResiduals, previous_c: Array, output_gradient: Array
 ) -> Float32[Array, "n b g"]:
-    """Return the derivatives by W_ih x + W_hh h + b, shape [N, B, 4 H].
-
-    Args:
-        weights: weights of the gates.
-        valid: which inputs exist, shape [N, B, 1].
-        residuals: values of the forward pass.
-        previous_c: cell state before each input, shape [N, B, H].
-        output_gradient: derivative by h, shape [N, B, H].
-    """
+    """Return the derivatives by W_ih x + W_hh h + b, shape [N, B, 4 H]."""
     i, f, g, o = jnp.split(residuals.gates, 4, axis=-1)
     tanh_c = jnp.tanh(residuals.states.c)
     factors = jnp.concatenate([g, previous_c, 0.5 * (1 + i), tanh_c], axis=-1)

@@ -101,7 +101,9 @@ def compute_influence(
         dead_zone: standard error of the dead zone.
         seed: of the bootstrap.
     """
-    scores = _fit_and_pooled_scores(objective, position, free)
+    scores = [Scores.of(objective, position).select_parameters(free)]
+    if objective.per_test_gain:  # the gain is that of all tests pooled
+        scores.append(Scores.of(objective.pooled(), position).select_parameters(free))
     by_test = _influence_by_test(*scores)
     tests = len(by_test)
     rng = np.random.default_rng(seed)
@@ -161,16 +163,6 @@ def _refit(objective: Objective, indices: list[int], position: np.ndarray) -> np
     return refitted_position
 
 
-def _fit_and_pooled_scores(objective: Objective, position: np.ndarray, free: np.ndarray) -> list[Scores]:
-    """Return the scores of the fit; with a gain per test, also those of the pooled fit of the gain."""
-    scores = [Scores.of(objective, position).select_parameters(free)]
-    return (
-        [*scores, Scores.of(objective.pooled(), position).select_parameters(free)]
-        if objective.per_test_gain
-        else scores
-    )
-
-
 def _influence_by_test(scores: Scores, gain_scores: Scores | None = None) -> np.ndarray:
     influence = scores.influence()
     if gain_scores is None:
@@ -183,12 +175,7 @@ def _influence_by_test(scores: Scores, gain_scores: Scores | None = None) -> np.
 
 
 def _newton_steps(scores: Sequence[Scores], weights: np.ndarray) -> np.ndarray:
-    """Return the Newton steps of the estimates for other weights of the tests, shape [B, D].
-
-    Args:
-        scores: at the estimate.
-        weights: how often each test is drawn, shape [B, T].
-    """
+    """Return the Newton steps of the estimates for other weights of the tests, shape [B, D]."""
     slopes = [weights @ test_scores.slopes for test_scores in scores]
     curvatures = [np.einsum("bt,tij->bij", weights, test_scores.curvatures) for test_scores in scores]
     steps = -np.einsum("bij,bj->bi", np.linalg.pinv(curvatures[0], hermitian=True), slopes[0])
@@ -206,13 +193,7 @@ LAGS = 100  # blocks of the longest test, lags of the autocovariance; chosen
 
 
 def information_of(objective: Objective, position: np.ndarray, influence: Influence) -> Information:
-    """Return the Fisher information of the tests at the best position.
-
-    Args:
-        objective: identification tests and model specification.
-        position: the estimates, shape [D].
-        influence: influence of each test on each estimate.
-    """
+    """Return the Fisher information of the tests at the best position."""
     errors, test = objective.errors(position)
     free = np.flatnonzero(np.any(influence.by_test != 0, axis=0))
     curvature = objective.equations_by_test(position).curvatures.sum(axis=0)[np.ix_(free, free)]

@@ -34,13 +34,6 @@ def derived(
 
     The interval follows from the gradient of the quantity's logarithm, widened to the range over the allowed
     points of the profiles; it is open where the quantity follows a parameter beyond an open end of a profile.
-
-    Args:
-        objective: tests and model specification.
-        position: the estimates in the unit cube, shape [D].
-        influence: influence of the tests on the estimates.
-        profiles: of the parameters whose Gauss-Newton interval is wide.
-        units: `x` and `u` to the units of displacement and command.
     """
     dead_zone = float(objective.batch.dead_zone[0])
 
@@ -90,12 +83,7 @@ def _exp(logarithm: float) -> float | None:
 
 
 def sensitivities(objective: Objective, position: np.ndarray) -> tuple[float, ...]:
-    """Return the mean relative change of the RMSE for ±1 % of each parameter (Sun et al. 2025, sec. 3.1.1).
-
-    Args:
-        objective: tests and model specification.
-        position: the estimates, shape [D].
-    """
+    """Return the mean relative change of the RMSE for ±1 % of each parameter (Sun et al. 2025, 3.1.1)."""
     values, pooled = objective.values(position), objective.pooled()
     best, changes = pooled.error(position), []
     for factors in np.eye(position.size) * RELATIVE_PERTURBATION:

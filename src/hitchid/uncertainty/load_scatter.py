@@ -108,10 +108,6 @@ def load_scatter(
 def scatter_of(contrasts: Contrasts, names: Sequence[str]) -> LoadScatter:
     """Return scatter, interval, shrinkage and each test's own value from independent contrasts.
 
-    Args:
-        contrasts: of the tests.
-        names: of the tests, length T.
-
     Raises:
         FitError: there are fewer than two contrasts, or a test would run backward.
     """
@@ -147,11 +143,6 @@ def errors_of_tests(objective: Objective, position: np.ndarray, free: np.ndarray
     """Return the errors of each test's free run, its travel, and the derivatives of the travel.
 
     Of a test without motion no sample counts.
-
-    Args:
-        objective: identification tests and form, without a factor on each test.
-        position: the estimates in the unit cube, shape [D].
-        free: mask of the parameters that were estimated, shape [D].
     """
     batch = objective.batch
     steps = STEP * np.eye(position.size)[np.asarray(free, bool)]

@@ -188,11 +188,6 @@ def over_parameters_at_bound(
     2. the estimate that least squares would take without the bound, to first order.
 
     A parameter whose interval is then no longer narrow is determined only for the other one at its bound.
-
-    Args:
-        results: all parameters with their intervals.
-        objective: identification tests and model specification.
-        position: the estimate in the unit cube, shape [D].
     """
     held = [result for result in results if result.bound and result.profile is not None]
     if not held:

@@ -187,15 +187,7 @@ class _ProfilePoint:
 def _relative_excess(
     mean: float, by_test: np.ndarray, shift: float, degrees: int, dead_zone: DeadZoneError
 ) -> float:
-    """Return a mean over tests divided by the limit of its two-sided t-test at 95 %.
-
-    Args:
-        mean: over tests.
-        by_test: the value of each test.
-        shift: change of the mean per standard error of the dead zone.
-        degrees: degrees of freedom of the variance over tests.
-        dead_zone: standard error of the dead zone.
-    """
+    """Return a mean over tests divided by the limit of its two-sided t-test at 95 %."""
     variances = np.array([by_test.var(ddof=1) / by_test.size, shift**2])
     combined_degrees = welch_satterthwaite(
         variances, np.array([max(degrees, 1), dead_zone.degrees_of_freedom])

@@ -104,11 +104,7 @@ class Scores(NamedTuple):
         return cls(equations.gradients, equations.curvatures)
 
     def select_parameters(self, free: np.ndarray) -> "Scores":
-        """Return the scores of some of the parameters.
-
-        Args:
-            free: mask of the parameters, shape [D].
-        """
+        """Return the scores of some of the parameters."""
         return Scores(self.slopes[:, free], self.curvatures[:, free][:, :, free])
 
     @property
@@ -159,17 +155,13 @@ class Scores(NamedTuple):
     def _leverage_corrections(self) -> tuple[Float[np.ndarray, "d d"], Float[np.ndarray, "t d d"]]:
         """Return H⁻¹ and each test's Fₜ."""
         inverse = np.linalg.pinv(self.curvature, hermitian=True)
-        identity = np.eye(len(inverse))
-        return inverse, np.stack(
-            [_inverse_square_root(identity - curvature @ inverse) for curvature in self.curvatures]
-        )
-
-
-def _inverse_square_root(matrix: np.ndarray) -> np.ndarray:
-    """Return the inverse square root of I − P, whose eigenvalues lie between 0 and 1."""
-    values, vectors = np.linalg.eig(matrix)
-    roots = 1 / np.sqrt(np.clip(np.real(values), MIN_EIGENVALUE, 1.0))
-    return np.real((vectors * roots) @ np.linalg.pinv(vectors))
+        roots = []
+        for curvature in self.curvatures:
+            # (I − P)^(−½): its eigenvalues lie between 0 and 1.
+            values, vectors = np.linalg.eig(np.eye(len(inverse)) - curvature @ inverse)
+            scale = 1 / np.sqrt(np.clip(np.real(values), MIN_EIGENVALUE, 1.0))
+            roots.append(np.real((vectors * scale) @ np.linalg.pinv(vectors)))
+        return inverse, np.stack(roots)
 
 
 # Test whether two independent groups of tests have the same parameters.

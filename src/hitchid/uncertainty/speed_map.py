@@ -41,10 +41,6 @@ def operating_levels(batch: Batch, opening: float) -> Float[np.ndarray, " l"]:
 
     If at most 9 levels contain 80 % of the samples above `opening`, these; otherwise 7 evenly spaced levels
     from the 5 % to the 95 % quantile of those samples.
-
-    Args:
-        batch: identification tests.
-        opening: command at which flow begins.
     """
     logged = np.abs(np.asarray(batch.raw_command))[np.asarray(batch.loss_mask)]
     active_commands = np.sort(logged[logged > opening])
@@ -236,7 +232,10 @@ def _intervals(
     dead_zone_effect = _dead_zone_effect(influence, dead_zone_error, scaled_quantities, points)
     half_widths = _half_widths(influence, gradient, dead_zone_effect, dead_zone_error)
     lower, upper = best - half_widths, best + half_widths
-    max_ratio = _max_rmse_ratio(len(influence.by_test), int(influence.free.sum()))
+    # Largest ratio of an RMSE to the best, √(1 + t²/(T − D)): with few tests the test of a profile has little
+    # power far from the estimate, and this limits its range.
+    degrees = max(len(influence.by_test) - int(influence.free.sum()), 1)
+    max_ratio = float(np.sqrt(1 + t_quantile(float(degrees)) ** 2 / degrees))
     for profile in influence.profiles:
         well_fitted = profile.allowed & (profile.fitness <= max_ratio * profile.fitness.min())
         allowed = scaled_quantities(profile.positions[well_fitted])
@@ -270,14 +269,7 @@ def _gradient(
 def _half_widths(
     influence: Influence, gradient: np.ndarray, dead_zone_effect: np.ndarray, dead_zone_error: DeadZoneError
 ) -> Float[np.ndarray, " q"]:
-    """Return half the 95 % interval of each quantity; infinite where a derivative is not finite.
-
-    Args:
-        influence: influence of the tests on the estimates.
-        gradient: of the quantities by the position, shape [D, Q].
-        dead_zone_effect: change of the quantities per standard error of the dead zone, shape [Q].
-        dead_zone_error: standard error of the dead zone.
-    """
+    """Return half the 95 % interval of each quantity; infinite where a derivative is not finite."""
     finite = np.all(np.isfinite(gradient), axis=0) & np.isfinite(dead_zone_effect)
     gradient, dead_zone_effect = np.where(finite, gradient, 0.0), np.where(finite, dead_zone_effect, 0.0)
     by_test = influence.by_test @ gradient
@@ -306,15 +298,6 @@ def _dead_zone_effect(
         )
     )
     return 0.5 * (above - below)
-
-
-def _max_rmse_ratio(rows: int, parameters: int) -> float:
-    """Return the largest ratio of an RMSE to the best, √(1 + t²/(T − D)), with one sample per test.
-
-    With few tests a profile's test has little power far from the estimate; this limits its range.
-    """
-    degrees = max(rows - parameters, 1)
-    return float(np.sqrt(1 + t_quantile(float(degrees)) ** 2 / degrees))
 
 
 def _open_ends(
