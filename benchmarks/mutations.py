@@ -168,14 +168,14 @@ MUTATIONS = (
     ),
     Mutation(
         "live/live.py",
-        "if samples > MAX_GAP_SAMPLES",
-        "if samples >= MAX_GAP_SAMPLES",
+        "if samples > MAX_GAP_SAMPLES:",
+        "if samples >= MAX_GAP_SAMPLES:",
         "live/test_live.py",
     ),
     Mutation(
         "fleet/random_effects.py",
-        "np.arange(1, tested.size + 1)",
-        "np.arange(tested.size, 0, -1)",
+        "false_discovery_control(p_values[tested])",
+        "p_values[tested]",
         "fleet/test_multiple_testing.py",
     ),
     Mutation(
@@ -184,7 +184,7 @@ MUTATIONS = (
         "((1 - fraction) * step_s, fraction * step_s)",
         "export/test_parity.py",
     ),
-    Mutation("report/svg.py", 'aria-label="{escape(alt)}"', 'aria-label="{alt}"', "report/test_svg.py"),
+    Mutation("report/svg.py", 'aria-label="{html_text(alt)}"', 'aria-label="{alt}"', "report/test_svg.py"),
     Mutation(
         "hmi/safety.py",
         "self.is_attended and now_s - self.page_s >",

@@ -77,7 +77,7 @@ from hitchid.model import (
 )
 from hitchid.model.provenance import DifferenceTest
 from hitchid.model.rivals import Rivals
-from hitchid.report import figure_data, figures, read_trace
+from hitchid.report import figures, read_trace
 from hitchid.report.tables import search_table
 from hitchid.structures import PhysicalModel, structure_named
 from hitchid.validation import read_limits
@@ -604,15 +604,15 @@ def read_model_trace(folder: Path, _: ReaderProcess) -> object:
     content = load_trace(folder)
     for trace in read_trace(content).values():
         search, training = trace.phase1, trace.phase2
-        drawn = [figures.convergence(search, "mm"), figures.structures(trace.candidates, "mm")]
-        data = [figure_data.convergence(search, "mm"), figure_data.structures(trace.candidates, "mm")]
+        drawn = [
+            figures.convergence("search", search, "mm", "", ""),
+            figures.structures("structures", trace.candidates, "mm", trace.choice_held_out_rmse),
+        ]
         if training is not None:
-            drawn.append(figures.losses(training))
-            data.append(figure_data.losses(training))
-        for figure in drawn:
-            figure.draw_without_rendering()
-        for columns in data:
-            DataTable.of_columns("figure", columns).csv()
+            drawn.append(figures.losses("losses", training))
+        for picture in drawn:
+            picture.figure.draw_without_rendering()
+            DataTable.of_columns("figure", picture.data).csv()
         next((each for each in trace.candidates if each.chosen), None)
     save(load(folder), folder.with_name("again"), trace=content, force=True)
     return content
@@ -626,10 +626,9 @@ def use_rivals(folder: Path, _: ReaderProcess) -> object:
     rivals = model.rivals.get(LIFTING, Rivals())
     result = channel_result(model.channels[LIFTING], [record], 1.0, None, rivals)
     if rivals.searches:
-        drawn = figures.searches(rivals.searches, "mm")
-        drawn.draw_without_rendering()
-        told = search_table(LIFTING, rivals.searches, "mm"), figure_data.searches(rivals.searches, "mm")
-        repr(told)
+        drawn = figures.searches("searches", rivals.searches, "mm")
+        drawn.figure.draw_without_rendering()
+        repr((search_table(LIFTING, rivals.searches, "mm"), drawn.data))
     return repr(result)
 
 

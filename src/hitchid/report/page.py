@@ -135,7 +135,7 @@ def _series(model: str, values: np.ndarray, *, shown: bool) -> dict[str, object]
         "label": label(model),
         "values": _floats(values),
         "colour": f"--{colours[COLOURS.get(model, COLOURS['ink'])]}",
-        "dash": [2 * length for length in DASHES.get(model, ())],
+        "dash": [2 * length for length in DASHES.get(model, ()) if length],
         "shown": shown,
     }
 
