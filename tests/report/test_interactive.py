@@ -55,6 +55,14 @@ def test_the_page_holds_every_sample_of_every_test_in_single_precision(text):
         assert each["commands"][0]["label"] == "lifting command / A"
 
 
+def test_two_compared_models_are_drawn_as_two_lines():
+    tests = validated.predictions()
+    compared = dict(zip("AB", tests.models.values(), strict=False))
+    (test, *_) = data(page(signals_of(replace(tests, models=compared))))["sections"]["lifting"]
+    assert [model["key"] for model in test["models"]] == ["A", "B"]
+    assert len({(model["colour"], *model["dash"]) for model in test["models"]}) == 2
+
+
 def test_the_policy_permits_the_pages_own_script_and_style_alone(text):
     (policy,) = re.findall(r'Content-Security-Policy" content="([^"]+)"', text)
     (style,), (script,) = (
