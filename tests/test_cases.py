@@ -13,8 +13,7 @@ import hitchid
 from hitchid._support.records import Severity
 from hitchid.fleet import identify_fleet
 from hitchid.identification.settings_file import read_settings
-from hitchid.logs import inspect
-from hitchid.logs.propose import propose
+from hitchid.logs import inspect, propose
 
 CASES = os.environ.get("HITCHID_CASES", "")
 PRINTED = 5.001e-5  # half of the last digit of displacements below 100, of six digits

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hitchid.logs.audit.audit import audit
+from hitchid.logs.audit import audit
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.record import Record
 

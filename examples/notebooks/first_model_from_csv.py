@@ -29,7 +29,7 @@ write_campaign("logs", tests={"ramp": 2, "prbs": 6}, force=True)
 
 # %%
 import hitchid
-from hitchid.logs.audit.audit import audit
+from hitchid.logs.audit import audit
 
 campaign = hitchid.read("logs")
 for record in campaign.records:

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 from hitchid.errors import HitchError as HitchError
 
 if TYPE_CHECKING:
+    from hitchid.identification import identify as identify
     from hitchid.identification import identify_many as identify_many
     from hitchid.identification import train_rivals as train_rivals
     from hitchid.identification.cross_validation import cross_validate as cross_validate
-    from hitchid.identification.identify import identify as identify
     from hitchid.logs import read as read
     from hitchid.logs.campaign import Campaign as Campaign
     from hitchid.logs.record import Record as Record
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from hitchid.model import load as load
     from hitchid.model import save as save
     from hitchid.validation import compare as compare
-    from hitchid.validation.validate import validate as validate
+    from hitchid.validation import validate as validate
 
     __version__: str
 

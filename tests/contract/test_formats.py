@@ -13,7 +13,7 @@ from hitchid.errors import InputError, LogError
 from hitchid.logs import find_logs, format_of, write_table
 from hitchid.logs.content import ChannelSelection
 from hitchid.logs.formats import BUILT_IN, record_name
-from hitchid.validation.validate import validate
+from hitchid.validation import validate
 
 SAMPLES = 60
 RNG = np.random.default_rng(7)

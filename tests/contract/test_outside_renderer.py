@@ -14,7 +14,7 @@ from hitchid.errors import InputError, OutputError
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.record import LIFTING, Record
 from hitchid.report import registered_renderers, render
-from hitchid.validation.validate import validate
+from hitchid.validation import validate
 from truth import STEP_S
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "renderer_from_outside"

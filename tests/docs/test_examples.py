@@ -21,8 +21,7 @@ import hitchid
 from hitchid import cli
 from hitchid.control.drive_report import read_drive_limits
 from hitchid.errors import InputError
-from hitchid.identification import read_settings
-from hitchid.identification.identify import identify
+from hitchid.identification import identify, read_settings
 from hitchid.logs.signal_map import read_campaign_file
 from hitchid.validation import read_limits
 

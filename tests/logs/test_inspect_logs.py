@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from hitchid.errors import InputError, SettingsError
-from hitchid.logs import write_table
-from hitchid.logs.inspect import inspect
+from hitchid.logs import inspect, write_table
 from hitchid.logs.kinds import CommandThreshold
 
 STEP_S = 0.01

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid.errors import LogError
-from hitchid.logs.audit.audit import audit
+from hitchid.logs.audit import audit
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.content import Content, LogChannel
 from hitchid.logs.log_table import records_of, table_of

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from hitchid.errors import InputError
-from hitchid.logs import find_logs, write_table
+from hitchid.logs import find_logs, propose, write_table
 from hitchid.logs.motion import Windows
-from hitchid.logs.propose import propose
 from hitchid.logs.signal_map import read_campaign_file
 
 STEP_S = 0.01

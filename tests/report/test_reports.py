@@ -24,9 +24,8 @@ from hitchid.report import FIGURES, Pictures, Rating, Table, write_report
 from hitchid.report.document import Findings
 from hitchid.report.origin import logs_section, origin_section
 from hitchid.report.verdict import limits_section, verdict_section
-from hitchid.validation import ModelFigures, RunFigures, compare, read_limits
+from hitchid.validation import ModelFigures, RunFigures, compare, read_limits, validate
 from hitchid.validation.report_data import Origin, log_data
-from hitchid.validation.validate import validate
 
 MODES = (LIFTING, LOWERING)
 COMMAND = "hitchid validate 'my model' logs --out report"

@@ -14,8 +14,7 @@ from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.model import Provenance
 from hitchid.report import comparison_tables
 from hitchid.report.comparison_report import verdict_text
-from hitchid.validation import Standing, compare
-from hitchid.validation.validate import validate
+from hitchid.validation import Standing, compare, validate
 from truth import STEP_S, levels
 
 RIGHT, SLOW = hitch(), hitch("first-order-lag")

@@ -69,10 +69,10 @@ def identify(
         remove_run(unfinished)
     prepare_jax()
     from hitchid.identification import Identification, RivalsConfig, Settings, read_settings, train_rivals
+    from hitchid.identification import identify as run
     from hitchid.identification.identify import RIVALS_SHARE
-    from hitchid.identification.identify import identify as run
     from hitchid.logs import read
-    from hitchid.logs.audit.audit import audit
+    from hitchid.logs.audit import audit
 
     settings: Settings = {} if config is None else read_settings(config)
     if seed is not None:

@@ -40,8 +40,8 @@ def inspect(
     """Show the content of logs and audit them: problems, where they are, and what to measure again."""
     from hitchid._support.files import check_file, check_inputs
     from hitchid.cli import terminal as display
+    from hitchid.logs import inspect as look
     from hitchid.logs.audit import Severity
-    from hitchid.logs.inspect import inspect as look
 
     if out is not None and not propose:
         raise InputError("--out needs --propose")
@@ -73,7 +73,7 @@ def inspect(
 
 def _propose(logs: list[Path], out: Path | None, *, force: bool) -> None:
     from hitchid._support.files import check_file, check_inputs, write_bytes
-    from hitchid.logs.propose import propose
+    from hitchid.logs import propose
 
     if out is not None:
         check_file(out, force=force)

@@ -60,7 +60,7 @@ def validate(
     from hitchid.model import load, load_trace
     from hitchid.report import read_trace, render, write_report
     from hitchid.validation import read_limits
-    from hitchid.validation.validate import validate as run
+    from hitchid.validation import validate as run
 
     formats = report_formats(as_pdf=as_pdf, as_xlsx=as_xlsx, interactive=interactive)
     limits = None if accept is None else read_limits(accept)

@@ -51,7 +51,7 @@ class IdentificationJob(Job[Row]):
     def work(self, row: Row, folder: Path) -> tuple[Row, int]:
         """Write the model of the logs in a folder; return the row with its figures, and the bytes written."""
         from hitchid.fleet.estimates import direction_rows
-        from hitchid.identification.identify import identify
+        from hitchid.identification import identify
         from hitchid.logs import read
         from hitchid.model import load
 
@@ -107,8 +107,7 @@ class ValidationJob(Job[ValidationRow]):
     def work(self, row: ValidationRow, folder: Path) -> tuple[ValidationRow, int]:
         """Return the row with faults and drift of the logs in a folder."""
         from hitchid.logs import read
-        from hitchid.logs.audit import Severity
-        from hitchid.logs.audit.audit import audit
+        from hitchid.logs.audit import Severity, audit
         from hitchid.logs.from_rest import from_rest
         from hitchid.model import load
 

@@ -27,9 +27,8 @@ from hitchid.identification.result import Identification
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.record import CYCLE, Record
 from hitchid.model import Hitch
-from hitchid.validation import ModelFigures, Predictions, RunFigures, Validation
+from hitchid.validation import ModelFigures, Predictions, RunFigures, Validation, validate
 from hitchid.validation.results import FREE_RUN, GREYBOX, ONE_STEP, value_text
-from hitchid.validation.validate import validate
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -9,8 +9,7 @@ import numpy as np
 from hitchid._support.records import Notice, short_repr
 from hitchid._support.tables import count
 from hitchid.errors import HitchError
-from hitchid.logs.audit import AuditFinding, Quality
-from hitchid.logs.audit.audit import audit
+from hitchid.logs.audit import AuditFinding, Quality, audit
 from hitchid.logs.audit.context import quality
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.kinds import CommandThreshold, Segment, durations_s, full_scales, segments

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 from hitchid._support.bounded import Count, Error, Number
 from hitchid._support.records import short_repr
-from hitchid.baselines.baseline import FittedBaseline
+from hitchid.baselines.fitted import FittedBaseline
 from hitchid.model.channel import Channel
 from hitchid.model.estimates import Estimates
 from hitchid.model.limits import TravelLimits

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from hitchid.logs.audit.audit import audit
+from hitchid.logs.audit import audit
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.record import COMMAND, DIRECTIONS, Record
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from hitchid.logs import read
-from hitchid.logs.audit import Severity, feedback_of
-from hitchid.logs.audit.audit import audit
+from hitchid.logs.audit import Severity, audit, feedback_of
 from hitchid.logs.record import LIFTING, RAMP
 
 STEP_S, GAIN, LAG_S, ZONE = 0.01, 40.0, 0.05, 0.05

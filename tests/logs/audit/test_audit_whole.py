@@ -8,8 +8,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from hitchid.errors import HitchError
-from hitchid.logs.audit import AuditFinding, Severity
-from hitchid.logs.audit.audit import audit
+from hitchid.logs.audit import AuditFinding, Severity, audit
 from hitchid.logs.audit.context import quality
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.record import Record

@@ -5,8 +5,7 @@ import pytest
 
 from hitchid.errors import InputError, SettingsError
 from hitchid.logs import read
-from hitchid.logs.audit import Severity, find_end_stop
-from hitchid.logs.audit.audit import audit
+from hitchid.logs.audit import Severity, audit, find_end_stop
 from hitchid.logs.campaign import Campaign
 
 STEP_S, NOISE, LAG_S, DELAY = 0.01, 0.03, 0.15, 8

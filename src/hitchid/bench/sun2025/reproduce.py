@@ -29,8 +29,7 @@ from hitchid.report import (
 )
 from hitchid.report.figures.errors import MAX_SAMPLES
 from hitchid.structures import ModelSpec
-from hitchid.validation import Predictions, Validation
-from hitchid.validation.validate import validate
+from hitchid.validation import Predictions, Validation, validate
 
 LOGS, MODEL, PAPER_MODEL, DATA = "logs", "model", "paper-model", "data"
 STUDY_FILE = "study.md"
