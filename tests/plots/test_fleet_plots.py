@@ -43,12 +43,6 @@ def test_intervals_are_drawn_from_the_top_those_that_stand_out_by_their_triangle
     np.testing.assert_array_equal(points["o"], [[2.0, 1.0], [np.nan, 2.0]])
 
 
-def test_a_distribution_that_is_unknown_is_not_drawn(axes):
-    plots.draw_distribution(axes, np.nan, (np.nan, np.nan), (np.nan, np.nan))
-    assert not axes.get_lines()
-    assert not axes.patches
-
-
 def test_quantiles_are_those_of_the_known_values(axes):
     plots.draw_quantiles(axes, np.array([*range(101), np.nan]), 5)
     thin, thick = (collection.get_segments()[0] for collection in axes.collections)
@@ -59,34 +53,8 @@ def test_quantiles_are_those_of_the_known_values(axes):
     assert len(axes.get_lines()) == 1
 
 
-def test_every_verdict_has_a_marker_and_a_colour_or_size_of_its_own(axes):
-    codes = np.array([list(plots.VERDICTS)])
-    plots.draw_verdicts(axes, codes)
-    assert len(axes.collections) == len(plots.VERDICTS)
+def test_every_verdict_has_a_marker_of_its_own():
     assert len({marker for _, marker, _, _ in plots.VERDICTS.values()}) == len(plots.VERDICTS)
-    for verdict, drawn in zip(plots.VERDICTS, axes.collections, strict=True):
-        np.testing.assert_array_equal(drawn.get_offsets(), [[codes[0].tolist().index(verdict), 0]])
-    low, high = axes.get_ylim()
-    assert low > high
-
-
-def test_a_fan_has_a_line_for_each_machine_through_dead_zone_and_speed(axes):
-    gains, dead_zones = np.array([50.0, 60.0]), np.array([0.3, 0.4])
-    plots.draw_speed_fan(axes, gains, dead_zones, 1.0, [plots.SpeedLine("slow", 40.0, 0.35, 0)])
-    (fan,) = axes.collections
-    expected = [[(0, 0), (0.3, 0), (1, 35.0)], [(0, 0), (0.4, 0), (1, 36.0)]]
-    np.testing.assert_allclose(fan.get_segments(), expected)
-    (line,) = axes.get_lines()
-    np.testing.assert_allclose(line.get_xydata(), [(0, 0), (0.35, 0), (1, 26.0)])
-
-
-def test_further_machines_are_drawn_alike(axes):
-    count = len(plots.STYLES) + 2
-    lines = [plots.SpeedLine(str(number), 40.0, 0.3, number) for number in range(count)]
-    plots.draw_speed_fan(axes, np.array([50.0]), np.array([0.3]), 1.0, lines)
-    labels = [line.get_label() for line in axes.get_lines()]
-    assert labels[: len(plots.STYLES)] == [str(number) for number in range(len(plots.STYLES))]
-    assert set(labels[len(plots.STYLES) :]) == {"further ones that stand out"}
 
 
 @given(st.lists(st.tuples(st.floats(0, 1), st.floats(0, 1)), min_size=1, max_size=20))
