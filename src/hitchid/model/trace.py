@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, TypeVar
 
-from pydantic import FailFast, Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from hitchid._support.bounded import Count, Error, Number, Size
 from hitchid._support.records import short_repr
@@ -15,7 +15,8 @@ from hitchid.model.estimates import Estimate
 
 MOST = Field(max_length=100)  # parameters, or structures that were compared: each is drawn; chosen
 Item = TypeVar("Item")
-Series = Annotated[tuple[Item, ...], FailFast()]  # of all that is wrong in it one is named: it may be long
+# Of all that is wrong in it one is named: it may be long.
+Series = Annotated[tuple[Item, ...], Field(fail_fast=True)]
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import wraps
-from typing import Any, NamedTuple, ParamSpec, Protocol, TypeVar
+from typing import Any, NamedTuple, ParamSpec, Protocol, TypeVar, runtime_checkable
 
 import matplotlib as mpl
 import numpy as np
@@ -129,6 +129,7 @@ _RC_PARAMS: dict[Any, Any] = {
 }
 
 
+@runtime_checkable
 class HasFigure(Protocol):
     """A figure with words and data."""
 
