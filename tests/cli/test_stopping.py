@@ -57,7 +57,7 @@ COMPUTING = """
 import sys
 from pathlib import Path
 import jax
-import hitchid.logs.inspect
+import hitchid.logs
 
 def look(logs, **_):
     start = jax.numpy.ones(())
@@ -66,7 +66,7 @@ def look(logs, **_):
     Path(sys.argv[2]).with_name("begun").touch()
     endless(start).block_until_ready()
 
-hitchid.logs.inspect.inspect = look
+hitchid.logs.inspect = look
 from hitchid.__main__ import main
 main()
 """

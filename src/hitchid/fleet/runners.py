@@ -50,16 +50,11 @@ def run_on_cluster(
         InputError: dask.distributed is not installed, or the address is neither TLS nor on this machine.
     """
     try:
-        from distributed import Worker, WorkerPlugin, as_completed
+        from distributed import as_completed
+
+        from hitchid.fleet.one_core import OneCore
     except ImportError as error:
         raise InputError("dask.distributed is required: pip install 'hitchid[fleet]'") from error
-
-    class OneCore(WorkerPlugin):
-        """Gives a worker its core before it receives a machine, and a folder that dask removes if killed."""
-
-        def setup(self, worker: Worker) -> None:
-            tempfile.tempdir = worker.local_directory
-            prepare_worker()
 
     with _client(workers, scheduler) as client:
         client.register_plugin(OneCore())

@@ -48,7 +48,8 @@ def stroke_of(message: bytes) -> Stroke:
 
 # Adaptation beside a running model: strokes are learned from in a process of its own.
 
-PROCESS = "hitchid.live.adaptation_process"
+# Not by `-m`: the module is imported with its package, and Python would warn of running it a second time.
+PROGRAM = "import sys; from hitchid.live.adaptation_process import main; main(sys.argv[1:])"
 # s after a stroke at which what was learned from it takes effect: longer than learning takes, so that this
 # does not depend on the speed of the machine; chosen.
 EFFECT_S = 0.5
@@ -207,7 +208,7 @@ def _started() -> tuple[subprocess.Popen, Connection]:
     own, other = socket.socketpair()
     with other:
         process = subprocess.Popen(  # noqa: S603 - this Python, a module of this package
-            [sys.executable, "-P", "-m", PROCESS, str(other.fileno())],
+            [sys.executable, "-P", "-c", PROGRAM, str(other.fileno())],
             pass_fds=(other.fileno(),),
             env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
         )
@@ -254,7 +255,3 @@ def _learn(connection: Connection, given: dict[str, Any]) -> None:
             events = (event,)
         else:
             state, events = adapter.learn(state, stroke_of(message))
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -82,7 +82,7 @@ class ReaderProcess(AbstractContextManager["ReaderProcess"]):
 def _start_child() -> "subprocess.Popen[bytes]":
     paths = os.pathsep.join(path for path in sys.path if path)
     return subprocess.Popen(
-        [sys.executable, "-m", "hitchid.logs.reader_process"],
+        [sys.executable, "-c", "from hitchid.logs.reader_process import main; main()"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -214,7 +214,3 @@ def _send_content(output: IO[bytes], content: Content, max_bytes: int) -> None:
 def _send(output: IO[bytes], response: Mapping[str, object]) -> None:
     output.write(json.dumps(response).encode() + b"\n")
     output.flush()
-
-
-if __name__ == "__main__":
-    main()
