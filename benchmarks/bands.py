@@ -19,8 +19,10 @@ import hitchid
 from hitchid.baselines.registry import delayed
 from hitchid.bench.virtual_campaign import write_campaign
 from hitchid.model import Bands, Channel
+from hitchid.model.bands import free_run_half_width
+from hitchid.model.free_run import ensemble_deviations
 from hitchid.structures import Batch
-from hitchid.validation.channels import COVERAGE, free_run_band
+from hitchid.validation.channels import COVERAGE
 
 TESTS, UNSEEN = 20, {"nominal": 100, "heavy-cold": 40, "light-warm-worn": 40}
 HORIZONS = tuple(range(1, 101))
@@ -60,7 +62,9 @@ def rows(channel: Channel, bands: Bands, batch: Batch) -> list[tuple[str, float,
         inside = (np.abs(measured - predicted) <= half_width) & mask
         return float(np.mean(inside.sum(axis=1) / mask.sum(axis=1))), float(np.mean(2 * half_width[mask]))
 
-    free_run = covered(np.asarray(channel.simulate(batch)), free_run_band(channel, bands, batch), loss_mask)
+    _, deviations = ensemble_deviations(channel, bands.ensemble, batch)
+    band = free_run_half_width([bands], [np.sqrt(np.sum(deviations**2, axis=0))], COVERAGE)
+    free_run = covered(np.asarray(channel.simulate(batch)), band, loss_mask)
     ahead = {}
     for horizon, predicted in zip(HORIZONS, np.asarray(channel.predict(batch, HORIZONS)), strict=True):
         half_width = bands.half_width(COVERAGE, horizon, predicted - delayed(measured, horizon))
