@@ -260,13 +260,7 @@ def block_signals(batch: Batch, samples: int, mask: np.ndarray) -> BlockSignals:
 
 
 def travel_at_samples(travel: np.ndarray, samples: int, count: int) -> np.ndarray:
-    """Return travel at every sample, linear between the ends of steps, shape [T, N].
-
-    Args:
-        travel: at the end of each step, shape [K, T, M]; zero before the first.
-        samples: samples in a step.
-        count: N, samples of the result; it stays at the last value beyond the steps.
-    """
+    """Return travel at `count` samples, shape [T, N], linear between the ends of steps, shape [K, T, M]."""
     rows = np.moveaxis(travel, 1, 0).reshape(travel.shape[1], -1)
     ends = samples * np.arange(rows.shape[1] + 1)
     return np.stack([np.interp(np.arange(count), ends, [0.0, *row]) for row in rows])

@@ -75,9 +75,7 @@ class Hitch(Value, Summarised, Handover):
 
     def __post_init__(self) -> None:
         """Make channels and units read-only, and sort channels in the order of `DIRECTIONS`."""
-        ordered = {
-            direction: self.channels[direction] for direction in DIRECTIONS if direction in self.channels
-        }
+        ordered = {name: self.channels[name] for name in DIRECTIONS if name in self.channels}
         object.__setattr__(self, "channels", MappingProxyType(ordered))
         object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
 
@@ -285,7 +283,7 @@ class Hitch(Value, Summarised, Handover):
         model_record = self.to_model_units(record)
         initial = simulation.condition_before_motion(model_record, self.channels)
         rows = multi_step_predictions(self.dynamics, model_record, initial, horizons, stride)
-        return np.stack([self._to_record_units(row, model_record, record) for row in rows])
+        return np.stack([simulation.to_record_units(row, self.units, model_record, record) for row in rows])
 
     @named_arguments
     @double_precision
@@ -315,7 +313,8 @@ class Hitch(Value, Summarised, Handover):
         by_channel = np.take_along_axis(half_widths, np.maximum(active_channel, 0)[None], axis=0)[0]
         half_width = np.where(active_channel < 0, half_widths.max(axis=0), by_channel)
         centre, half_width = (
-            self._to_record_units(row, model_record, record) for row in (predicted, half_width)
+            simulation.to_record_units(row, self.units, model_record, record)
+            for row in (predicted, half_width)
         )
         return Band(centre - half_width, centre + half_width)
 
@@ -443,9 +442,6 @@ class Hitch(Value, Summarised, Handover):
         if not functions.accepts(state):
             raise checks.input_error("state", STATE_REQUIRED, tuple(map(np.shape, state)))
         return functions
-
-    def _to_record_units(self, displacement: np.ndarray, model_record: Record, record: Record) -> np.ndarray:
-        return simulation.to_record_units(displacement, self.units, model_record, record)
 
     def _summary(self) -> Summary:
         from hitchid.model.summary import hitch_summary
