@@ -119,8 +119,11 @@ def draw_design(seed: int) -> Design:
     structure = str(rng.choice(STRUCTURES[:3] if plain else STRUCTURES, p=None if plain else WEIGHTS))
     clock = _clock(rng)
     schedule, layout = _schedule(rng, clock)
-    if plain:
+    # The first gap begins after a quarter of a test at the earliest: a shorter test may have no part of the
+    # 20 samples that a log must have.
+    if plain or schedule.samples < 80:
         clock = replace(clock, gaps=0)
+    if plain:
         schedule = replace(
             schedule, mixed=False, scatter=0.0, unusable="", defect=schedule.defect and DEFECTS[0]
         )

@@ -1,5 +1,7 @@
 """Parts of a log after a gap: what moves from commands that are lost is no start at rest."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -52,10 +54,14 @@ def test_a_part_after_a_gap_is_used_from_rest(strokes, gap, starts):
     assert from_rest(found)[0] == found
 
 
-def test_nothing_but_motion_after_a_gap_is_refused():
-    parts = Campaign.from_dataframes({"a": log(UP, UP)})
+def test_motion_after_a_gap_is_used_with_a_warning_where_nothing_else_is():
+    parts = Campaign.from_dataframes({"a": log(UP, UP)})[["a@2"]]
+    campaign, (warning,) = from_rest(parts)
+    assert campaign == parts
+    assert warning.startswith("a@2: begins in motion after a gap")
+    assert "gain and lag may be wrong" in warning
     with pytest.raises(InputError, match=r"begins in motion after a gap; expected 0\.5 s without a command"):
-        from_rest(parts[["a@2"]])
+        from_rest(replace(parts, strict=True))
 
 
 def test_gaps_in_motion_leave_gain_and_lag_as_they_are():

@@ -2,32 +2,44 @@
 
 from dataclasses import replace
 
-from hitchid._support.records import Notice
+from hitchid._support.records import Notice, Severity
 from hitchid.errors import LogError
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.kinds import LEAD_IN_S, REST_S, strokes
 from hitchid.logs.record import Record
 from hitchid.logs.resampling import AFTER_GAP
-from hitchid.logs.unification import left_out_notices, refuse, split_usable
+from hitchid.logs.unification import left_out_notices, split_usable
 
 FROM_REST = "from-rest"  # code of the notice of a part that was cut to begin at rest
+IN_MOTION = f"begins in motion after a gap; expected {REST_S:g} s without a command before a stroke"
 
 
 def from_rest(campaign: Campaign) -> tuple[Campaign, tuple[str, ...]]:
-    """Return a campaign whose parts after gaps begin at rest, and notices of those left out.
+    """Return a campaign whose parts after gaps begin at rest, and notices of those that do not.
 
     Models start at rest. After a gap the piston has a speed, from commands that are lost: taken for a start
-    at rest, it makes gain and lag wrong, and their intervals narrow.
+    at rest, it makes gain and lag wrong, and their intervals narrow. Such parts are left out; where a kind
+    of test has no others, a model with a warning is worth more than none.
 
     Raises:
-        InputError: no test is left, or the campaign is strict and a part is never at rest.
+        InputError: the campaign is strict and a part is never at rest.
     """
     parts = [(record.name, record) for record in campaign.records]
     usable, in_motion = split_usable(parts, _from_rest, strict=campaign.strict)
-    if not usable:
-        refuse(in_motion, "tests")
-    notices = left_out_notices(in_motion, len(parts), "tests")
-    return replace(campaign, records=tuple(usable)), tuple(map(str, notices))
+    rested = {record.name: record for record in usable}
+    without_rest = {record.kind for record in campaign.records} - {record.kind for record in usable}
+    records = [rested.get(record.name, record) for record in campaign.records]
+    records = [record for record in records if record.name in rested or record.kind in without_rest]
+    used = {record.name for record in records}
+    left_out = [item for item in in_motion if item.name not in used]
+    notices = list(left_out_notices(left_out, len(parts), "tests"))
+    if without_rest:
+        names = ", ".join(record.name for record in records if record.kind in without_rest)
+        sentence = (
+            f"{IN_MOTION}; used for want of others: gain and lag may be wrong by more than their intervals"
+        )
+        notices.append(Notice(FROM_REST, sentence, names, Severity.WARNING))
+    return replace(campaign, records=tuple(records)), tuple(map(str, notices))
 
 
 def _from_rest(record: Record) -> Record:
@@ -39,10 +51,7 @@ def _from_rest(record: Record) -> Record:
     if starts[0] < round((REST_S - LEAD_IN_S) / record.step_s):
         starts = starts[1:]
     if not starts:
-        raise LogError(
-            record.source or record.name,
-            f"begins in motion after a gap; expected {REST_S:g} s without a command before a stroke",
-        )
+        raise LogError(record.source or record.name, IN_MOTION)
     sentence = f"the first {starts[0] * record.step_s:.3g} s after the gap are left out: the piston may move"
     notices = (*record.notices, Notice(FROM_REST, sentence))
     return replace(record.slice(starts[0], len(record)), notices=notices)
