@@ -119,7 +119,10 @@ def prepare(
         refuse(without_covariate, f"{direction} tests")
     sign = _direction(records, direction)
     known = campaign.end_stop(sign)
-    stop = find_end_stop(cycles or records, direction, sign, known)
+    others = [
+        record for way in campaign.directions if way != direction for record in campaign.identification(way)
+    ]
+    stop = find_end_stop(cycles or records, direction, sign, known, () if cycles else others)
     end_stop = known if stop is None else stop.position
     records, at_end_stop = split_usable(
         _by_name(records), lambda record: _check_before_end_stop(record, sign, end_stop), strict=strict
