@@ -152,6 +152,8 @@ def test_tests_and_predictions_must_be_as_many():
         ([0.1, 1.001, 1.001], False),
         ([0.01, 0.999, 0.999, 0.999, 0.999, 1.001, 1.001], False),
         ([0.5], False),
+        # Without a test nothing is better.
+        ([], False),
         # Better on all tests, but by less than 2 % in all.
         ([0.985, 0.985, 0.985], False),
         ([0.975, 0.975, 0.975], True),

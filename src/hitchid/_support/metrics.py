@@ -160,6 +160,8 @@ def better_on_held_out_tests(errors: np.ndarray, other_errors: np.ndarray, compa
         errors, other_errors: root mean square error of each test, of the one and of the other, shape [T].
         comparisons: number of comparisons in one choice.
     """
+    if not errors.size:  # where all tests that are held out are of one fold, no other has chosen
+        return False
     rmse, other_rmse = (float(np.sqrt(np.mean(test_errors**2))) for test_errors in (errors, other_errors))
     is_relevant = MIN_IMPROVEMENT * rmse < other_rmse
     return is_relevant and log_ratio_p_value(errors, other_errors) < HELD_OUT_LEVEL / comparisons
