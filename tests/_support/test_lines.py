@@ -68,10 +68,10 @@ def test_once_between_two_lines_that_are_apart_something_is_done(pipe):
 @needs_posix
 def test_a_line_is_answered_before_the_next_one_begins(pipe):
     stream, send = pipe
-    found = lines(stream, 60.0, never)
+    answers = lines(stream, 60.0, never)
     for number in range(3):
         send(f"{number}\n".encode())
-        assert next(found) == str(number)
+        assert next(answers) == str(number)
 
 
 @needs_posix

@@ -36,13 +36,12 @@ def _from_rest(record: Record) -> Record:
     starts = [stroke.start for stroke in strokes(record, {})]
     if AFTER_GAP not in codes or FROM_REST in codes or not starts:
         return record
+    # A stroke so near to the gap had no rest before it that anybody saw.
     if starts[0] < round((REST_S - LEAD_IN_S) / record.step_s):
         starts = starts[1:]
     if not starts:
-        raise LogError(
-            record.source or record.name,
-            f"begins in motion after a gap; expected {REST_S:g} s without a command before a stroke",
-        )
+        problem = f"begins in motion after a gap; expected {REST_S:g} s without a command before a stroke"
+        raise LogError(record.source or record.name, problem)
     sentence = f"the first {starts[0] * record.step_s:.3g} s after the gap are left out: the piston may move"
     notices = (*record.notices, Notice(FROM_REST, sentence))
     return replace(record.slice(starts[0], len(record)), notices=notices)

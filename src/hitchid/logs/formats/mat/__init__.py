@@ -16,12 +16,7 @@ KIND = "a MATLAB file"
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the selected vectors of a MATLAB file; the time is optional where each signal has one.
-
-    Raises:
-        LogError: the file is damaged or was cut short, a vector is missing or not real, or h5py, required for
-            version 7.3, is not installed.
-    """
+    """Read the selected vectors of a MATLAB file; the time is optional where each signal has one."""
     with as_log_errors(path, KIND):
         reader = version73 if version73.is_hdf5(path) else version5
         with reader.open_log(path) as (tree, load_variables):

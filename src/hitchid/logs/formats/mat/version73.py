@@ -24,11 +24,7 @@ def is_hdf5(path: Path) -> bool:
 
 @contextmanager
 def open_log(path: Path) -> Iterator[tuple[Mapping[str, object], LoadVariables]]:
-    """Open a MATLAB 7.3 file: the tree of its content, whose leaves load themselves, so that no variable is.
-
-    Raises:
-        LogError: h5py is not installed.
-    """
+    """Open a MATLAB 7.3 file: the tree of its content, whose leaves load themselves."""
     h5py = import_optional("h5py", "hdf5", path)
     with h5py.File(path, "r") as file:
         yield _fields(_Reader(h5py, path), file, 0), lambda _: {}
@@ -62,7 +58,13 @@ def _node(reader: _Reader, item: Any, depth: int) -> object:
     if isinstance(item, reader.h5py.Group):
         if "MATLAB_sparse" in item.attrs:
             return None
-        return _structs(_fields(reader, item, depth))
+        fields = _fields(reader, item, depth)
+        columns = {name: inner.nodes for name, inner in fields.items() if isinstance(inner, _Column)}
+        lengths = {len(inner) for inner in columns.values()}
+        if len(columns) != len(fields) or len(lengths) != 1:
+            return fields
+        # MATLAB keeps an array of structs as one group, each field of which refers to the values of all.
+        return [{name: inner[k] for name, inner in columns.items()} for k in range(lengths.pop())]
     if not isinstance(item, reader.h5py.Dataset):
         return None
     return _external_leaf(reader, item.name) if is_external(item) else _array(reader, item, depth)
@@ -81,15 +83,6 @@ def _array(reader: _Reader, item: Any, depth: int) -> object:
         # MATLAB stores the transpose.
         return Leaf(item.shape[::-1], lambda _: read_dataset(reader.path, item, item.name.lstrip("/")).T)
     return None
-
-
-def _structs(fields: dict[str, object]) -> object:
-    """Return a list of structs if each field is an array of references, else the struct itself."""
-    columns = {name: inner.nodes for name, inner in fields.items() if isinstance(inner, _Column)}
-    lengths = {len(inner) for inner in columns.values()}
-    if len(columns) != len(fields) or len(lengths) != 1:
-        return fields
-    return [{name: inner[k] for name, inner in columns.items()} for k in range(lengths.pop())]
 
 
 def _external_leaf(reader: _Reader, name: str) -> Leaf:
