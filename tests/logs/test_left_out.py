@@ -173,8 +173,8 @@ def test_unusable_tests_and_ramps_leave_the_others(make_record):
         for value in (0.5, 7.0)
     ]
     + [
-        ({"dead_zones": {LIFTING: -1.0}}, "dead_zones, lifting: expected .* finite number .*got"),
-        ({"dead_zones": {LIFTING: np.nan}}, "dead_zones, lifting: expected .* finite number.*got float nan"),
+        ({"dead_zones": {LIFTING: -1.0}}, "dead_zones, lifting: expected at least 0, got -1"),
+        ({"dead_zones": {LIFTING: np.nan}}, "dead_zones, lifting: expected a finite number, got float nan"),
         (loaded_by("nope"), "lifting: load is 'nope'; expected one of head, rod"),
         (loaded_by("displacement"), "lifting: load is 'displacement'; expected one of head, rod"),
         (

@@ -80,11 +80,6 @@ def test_each_group_has_its_own_clock(log, version):
     np.testing.assert_array_equal(pressure.clock_s, SLOW)
 
 
-def test_the_time_need_not_be_a_channel(log):
-    content = read(log(("fast", [signal("stroke")])), ChannelSelection("whatever", ("stroke",)))
-    assert list(content.channels) == ["stroke"]
-
-
 def test_groups_without_a_name_of_their_own_go_by_number(log):
     path = log(("same", [signal("x")]), ("same", [signal("x")]), ("other", [signal("y"), signal("y")]))
     content = read(path, ALL)
@@ -93,9 +88,6 @@ def test_groups_without_a_name_of_their_own_go_by_number(log):
         LogError, match="column 'x': several channels have this name; use the full name: 0/x, 1/x"
     ):
         read(path, ChannelSelection("t", ("x",)))
-
-
-def test_the_only_group_needs_no_name(log):
     assert list(read(log((None, [signal("x")])), ALL).channels) == ["x"]
 
 

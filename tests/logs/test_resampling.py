@@ -69,11 +69,6 @@ def test_a_rate_without_a_short_decimal_step_is_kept_without_drift(samples, rate
     assert np.max(np.abs(ours - stamps)) <= GRID_TOLERANCE / rate_hz
 
 
-def test_seconds_since_1970_are_kept_as_well_as_any_others():
-    stamps = 1.7e9 + STEP_S * np.arange(500)
-    assert sections_of(stamps) == [LogSection(0, 500, STEP_S, resampled=False)]
-
-
 @pytest.mark.parametrize("fraction", [0.001, 0.9 * GRID_TOLERANCE])
 def test_stamps_within_2_percent_of_a_step_are_kept(fraction):
     (section,) = sections_of(swinging(fraction))

@@ -68,12 +68,12 @@ DIVIDED = {
 
 @pytest.mark.parametrize(("levels", "switches", "ends"), DIVIDED.values(), ids=DIVIDED.keys())
 def test_commands_divide_a_log(held, levels, switches, ends):
-    assert [(label, stop) for label, _, stop in parts(held(*levels), switches)] == ends
+    assert [(label, stop) for label, _, stop in divided(held(*levels), switches)] == ends
 
 
 def test_without_a_dead_zone_five_percent_of_full_scale_counts(held):
     record = held((50, 0.04, 0), (50, 1, 0), (50, 0, 0.06))
-    assert [label for label, *_ in parts(record)] == ["hold", "lifting", "lowering"]
+    assert [label for label, *_ in divided(record)] == ["hold", "lifting", "lowering"]
     scales = {"lifting": 2.0, "lowering": 2.0}
     assert divided(record, scales=scales) == [("hold", 0, 50), ("lifting", 50, 100), ("hold", 100, 150)]
     tiny = {mode: CommandThreshold(0.01) for mode in ZONES}
@@ -129,7 +129,7 @@ def test_the_bottom_is_an_end_stop_to_what_lowers(held):
 
 @pytest.mark.parametrize("standing", [WINDOW // 2, WINDOW])
 def test_a_brief_standstill_is_no_end_stop(held, standing):
-    labels = [label for label, *_ in parts(into_stop(held, standing=standing))]
+    labels = [label for label, *_ in divided(into_stop(held, standing=standing))]
     assert labels == ["lifting", "hold"]
 
 
@@ -149,10 +149,10 @@ def test_a_command_that_stands_at_its_largest_is_saturated(held):
 
 
 def test_other_large_commands_are_not_saturated(held):
-    assert "saturated" not in {label for label, *_ in parts(clipped(held, top=3))}
+    assert "saturated" not in {label for label, *_ in divided(clipped(held, top=3))}
     larger = {"lifting": 1.01, "lowering": 1.01}
-    assert "saturated" not in {label for label, *_ in parts(clipped(held, top=30), scales=larger)}
-    assert "saturated" not in {label for label, *_ in parts(clipped(held, top=30, values=20))}
+    assert "saturated" not in {label for label, *_ in divided(clipped(held, top=30), scales=larger)}
+    assert "saturated" not in {label for label, *_ in divided(clipped(held, top=30, values=20))}
 
 
 def test_a_slow_clock_can_be_divided(held):

@@ -80,3 +80,9 @@ def findings_of():
         return [finding for finding in findings if check is None or finding.check == check]
 
     return find
+
+
+@pytest.fixture
+def planted(clean, changed):
+    """Return a function that gives the clean campaign with another displacement in its first test."""
+    return lambda displacement: [changed(clean[0], signals={"displacement": displacement}), *clean[1:]]

@@ -79,18 +79,14 @@ def test_motion_ahead_of_the_command_in_most_tests_is_a_fault(clean, changed, fi
     assert every.severity is Severity.FAULT
 
 
-def test_creeping_before_a_test_warns_and_a_spike_does_not(clean, changed, findings_of):
+def test_creeping_before_a_test_warns_and_a_spike_does_not(clean, planted, findings_of):
     creep = clean[0].displacement + np.minimum(clean[0].time_s, 0.5) * 2.0
-    (finding,) = findings_of(
-        [changed(clean[0], signals={"displacement": creep}), *clean[1:]], "motion before command"
-    )
+    (finding,) = findings_of(planted(creep), "motion before command")
     assert finding.severity is Severity.WARNING
     assert "creeps" in finding.what
     spike = clean[0].displacement.copy()
     spike[20] += 20
-    assert not findings_of(
-        [changed(clean[0], signals={"displacement": spike}), *clean[1:]], "motion before command"
-    )
+    assert not findings_of(planted(spike), "motion before command")
 
 
 def test_resampled_logs_are_told(clean, changed, findings_of):

@@ -76,11 +76,11 @@ def test_noise_above_one_percent_of_the_range_is_found(make_test, findings_of):
 
 @pytest.mark.parametrize("quantum", [None, 0.01])
 @pytest.mark.parametrize("period", [2.0, 2.5, 3.0, 10.0])
-def test_a_sensor_read_less_often_than_logged_is_found(clean, changed, findings_of, period, quantum):
+def test_a_sensor_read_less_often_than_logged_is_found(clean, planted, findings_of, period, quantum):
     rows = (np.arange(len(clean[0])) // period * period).astype(int)
     held = clean[0].displacement[rows]
     held = held if quantum is None else quantum * np.round(held / quantum)
-    findings = findings_of([changed(clean[0], signals={"displacement": held}), *clean[1:]], "sampling")
+    findings = findings_of(planted(held), "sampling")
     (finding,) = [finding for finding in findings if "updated" in finding.what]
     assert (finding.record, finding.severity) == ("lifting-1", Severity.WARNING)
     # Of a period of two and a half samples every second change comes after two, or after three.

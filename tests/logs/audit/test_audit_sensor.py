@@ -7,20 +7,20 @@ from hitchid.logs.audit import Severity
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 5.0), (2, -40.0), (3, 5.0)])
-def test_spikes_are_found_where_they_are(clean, changed, findings_of, width, height):
+def test_spikes_are_found_where_they_are(clean, planted, findings_of, width, height):
     displacement = clean[0].displacement.copy()
     for at in (300, 800):
         displacement[at : at + width] += height
-    (finding,) = findings_of([changed(clean[0], signals={"displacement": displacement}), *clean[1:]])
+    (finding,) = findings_of(planted(displacement))
     assert (finding.check, finding.record, finding.signal) == ("spikes", "lifting-1", "displacement")
     last = 0.01 * (width - 1)
     assert np.allclose(finding.spans, [(3.0, 3.0 + last), (8.0, 8.0 + last)], atol=1e-6)
 
 
-def test_a_jump_is_found_and_is_no_spike(clean, changed, findings_of):
+def test_a_jump_is_found_and_is_no_spike(clean, planted, findings_of):
     displacement = clean[0].displacement.copy()
     displacement[600:] += 8.0
-    findings = findings_of([changed(clean[0], signals={"displacement": displacement}), *clean[1:]])
+    findings = findings_of(planted(displacement))
     jumps = [finding for finding in findings if finding.check == "jumps"]
     assert [finding.spans for finding in jumps] == [((5.99, 6.0),)]
     assert not [finding for finding in findings if finding.check == "spikes"]

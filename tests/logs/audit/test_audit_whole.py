@@ -14,11 +14,8 @@ from hitchid.logs.campaign import Campaign
 from hitchid.logs.record import Record
 
 
-def test_clean_logs_have_no_findings(clean, findings_of):
+def test_clean_logs_and_none_have_no_findings(clean, findings_of):
     assert findings_of(clean) == []
-
-
-def test_an_empty_campaign_has_no_findings():
     assert audit(Campaign(())) == ()
 
 
@@ -55,17 +52,14 @@ def test_what_four_records_share_is_one_finding_that_names_them(clean, changed, 
     assert "in 5 of 16 tests (lifting-1, lifting-2, lifting-3 …)" in one.what
 
 
-def test_a_finding_is_json(clean, changed, findings_of):
+def test_findings_and_quality_are_json(clean, planted, findings_of):
     displacement = clean[0].displacement.copy()
     displacement[300] += 30
-    (finding,) = findings_of([changed(clean[0], signals={"displacement": displacement}), *clean[1:]])
+    (finding,) = findings_of(planted(displacement))
     described = finding.describe()
     assert json.loads(json.dumps(described, allow_nan=False)) == described
     assert described["level"] == "warning"
     assert described["places"] == [{"record": described["records"][0], "start_s": 3.0, "stop_s": 3.0}]
-
-
-def test_quality_is_json(clean):
     described = quality(clean[0]).describe()
     assert json.loads(json.dumps(described, allow_nan=False)) == described
     assert described["samples"] == 1200

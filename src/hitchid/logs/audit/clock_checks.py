@@ -283,11 +283,11 @@ def motion_before_command(context: CampaignContext) -> list[AuditFinding]:
     early = [
         (test, onset, start) for test, onset in from_rest if (start := _motion_start(test, onset)) is not None
     ]
-    at_speed = [entry for entry in early if not _creeps(*entry)]
-    clocks_disagree = len(at_speed) >= 2 and 2 * len(at_speed) >= len(from_rest)
+    creeps = [_creeps(*entry) for entry in early]
+    at_speed = creeps.count(False)
+    clocks_disagree = at_speed >= 2 and 2 * at_speed >= len(from_rest)
     findings = []
-    for test, onset, start in early:
-        creeping = _creeps(test, onset, start)
+    for (test, onset, start), creeping in zip(early, creeps, strict=True):
         travelled = float(test.record.displacement[onset] - test.record.displacement[0])
         verb = "creeps" if creeping else "moves"
         lead_s = (onset - start) * test.record.step_s

@@ -203,10 +203,9 @@ def _time_scale(dataset: Any) -> Any:
     if is_external(dataset):
         return None
     # From the attributes: HDF5's functions for scales crash the process on damaged files.
-    references = dataset.attrs.get("DIMENSION_LIST")
     if _text(dataset.attrs.get("CLASS")) == "DIMENSION_SCALE":
         scales = [dataset]
-    elif references is None:
+    elif (references := dataset.attrs.get("DIMENSION_LIST")) is None:
         scales = []
     else:
         scales = [dataset.file[reference] for reference in references[int(np.argmax(dataset.shape))]]
