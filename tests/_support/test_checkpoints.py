@@ -1,7 +1,7 @@
 """Finished pieces of long work: found again bit for bit, done anew where they are not whole."""
 
 import errno
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
 
@@ -84,7 +84,7 @@ def files(folder):
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
-def test_what_was_kept_comes_back_bit_for_bit_and_is_not_done_again(tmp_path):
+def test_kept_arrays_come_back_bit_for_bit(tmp_path):
     kept = Checkpoints(tmp_path / "run")
     assert_bits(dict(kept.cached_arrays("search", Work())), ARRAYS)
     assert_bits(dict(Checkpoints(tmp_path / "run").cached_arrays("search", never)), ARRAYS)
@@ -92,11 +92,11 @@ def test_what_was_kept_comes_back_bit_for_bit_and_is_not_done_again(tmp_path):
 
 def test_a_record_comes_back_as_it_was(tmp_path):
     kept = Checkpoints(tmp_path / "run")
-    for found in (kept.cached("best", Piece, lambda: PIECE, BEST), kept.cached("best", Piece, never, BEST)):
-        assert found.best.tobytes() == PIECE.best.tobytes()
-        told = (found.loss, found.count, found.open, found.reason)
-        assert told == (PIECE.loss, PIECE.count, PIECE.open, PIECE.reason)
-        assert [type(each) for each in told] == [float, int, bool, str]
+    for work in (lambda: PIECE, never):
+        record = kept.cached("best", Piece, work, BEST)
+        assert record.best.tobytes() == PIECE.best.tobytes()
+        # `repr` tells 3 from 3.0, and True from 1.
+        assert repr(replace(record, best=None)) == repr(replace(PIECE, best=None))
 
 
 MISFITS = {
@@ -181,8 +181,6 @@ DAMAGE = {
     "cut": lambda data: data[:-1],
     "cut to half": lambda data: data[: len(data) // 2],
     "cut to its seal": lambda data: data[:64],
-    "edited": lambda data: data[:200] + bytes([data[200] ^ 1]) + data[201:],
-    "edited in its seal": lambda data: bytes([data[0] ^ 1]) + data[1:],
     "longer": lambda data: data + b"\0",
     "of zeros": lambda data: bytes(len(data)),
     "something else": lambda data: b"Let there be light",
@@ -204,22 +202,21 @@ def test_a_piece_that_is_not_whole_is_done_again_and_replaced(tmp_path, damage):
 
 
 def test_any_changed_byte_is_noticed(tmp_path):
-    kept = Checkpoints(tmp_path / "run")
-    kept.cached_arrays("search", Work({"x": np.arange(3)}))
+    kept, work = Checkpoints(tmp_path / "run"), Work({"x": np.arange(3)})
+    kept.cached_arrays("search", work)
     (path,) = files(tmp_path)
     whole = path.read_bytes()
-    work = Work({"x": np.arange(3)})
     places = range(0, len(whole), 7)
     for at in places:
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x10]) + whole[at + 1 :])
         kept.cached_arrays("search", work)
-    assert work.done == len(places)
+    assert work.done == 1 + len(places)
 
 
 # --- runs ---------------------------------------------------------------------------------------------------
 
 
-def test_a_run_finds_its_own_pieces_whatever_the_order_of_its_settings(tmp_path):
+def test_a_run_finds_its_pieces_whatever_the_settings_order(tmp_path):
     Checkpoints.of_run(tmp_path / "run", {"seed": 1, "logs": "abc"}).cached_arrays("search", Work())
     assert is_run(tmp_path / "run")
     again = Checkpoints.of_run(tmp_path / "run", {"logs": "abc", "seed": 1})
@@ -227,7 +224,7 @@ def test_a_run_finds_its_own_pieces_whatever_the_order_of_its_settings(tmp_path)
 
 
 @pytest.mark.parametrize("other", [{"seed": 2}, {"seed": 1.5}, {}, {"seed": 1, "logs": "abc"}])
-def test_the_folder_of_another_run_is_refused_with_the_way_out_and_left_alone(tmp_path, other):
+def test_the_folder_of_another_run_is_refused_and_left_alone(tmp_path, other):
     Checkpoints.of_run(tmp_path / "run", {"seed": 1}).cached_arrays("search", Work())
     before = {path: path.read_bytes() for path in files(tmp_path)}
     with pytest.raises(InputError, match=r"run: holds an unfinished run with other.*--force"):
@@ -244,16 +241,17 @@ def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):
     assert [path.name for path in files(tmp_path)] == ["precious"]
 
 
-def test_a_run_that_was_stopped_before_its_folder_was_whole_is_begun(tmp_path):
+def test_a_run_stopped_before_its_folder_was_whole_is_begun(tmp_path):
+    run = tmp_path / "run"
     # What a kill in the middle of writing the first file leaves.
-    (tmp_path / "run" / f".{RUN_FILE}-x1y2").mkdir(parents=True)
-    (tmp_path / "run" / f".{RUN_FILE}-x1y2" / RUN_FILE).write_text("{")
-    assert is_empty(tmp_path / "run")
-    Checkpoints.of_run(tmp_path / "run", {"seed": 1})
-    assert is_run(tmp_path / "run")
+    (run / f".{RUN_FILE}-x1y2").mkdir(parents=True)
+    (run / f".{RUN_FILE}-x1y2" / RUN_FILE).write_text("{")
+    assert is_empty(run)
+    Checkpoints.of_run(run, {"seed": 1})
+    assert is_run(run)
 
 
-def test_a_run_whose_removal_was_stopped_is_still_a_run_or_an_empty_folder(tmp_path, monkeypatch):
+def test_a_run_half_removed_is_still_a_run(tmp_path, monkeypatch):
     run = tmp_path / "run"
     removed = []
 
@@ -285,7 +283,7 @@ def test_a_run_whose_removal_was_stopped_is_still_a_run_or_an_empty_folder(tmp_p
 # --- a disk that is full ------------------------------------------------------------------------------------
 
 
-def test_a_full_disk_is_told_by_the_place_and_leaves_what_was_kept(tmp_path, monkeypatch):
+def test_a_full_disk_leaves_what_was_kept(tmp_path, monkeypatch):
     kept = Checkpoints.of_run(tmp_path / "run", {"seed": 1})
     kept.cached_arrays("search", Work())
     before = {path: path.read_bytes() for path in files(tmp_path)}
@@ -307,7 +305,7 @@ def test_a_full_disk_is_told_by_the_place_and_leaves_what_was_kept(tmp_path, mon
     assert_bits(dict(kept.cached_arrays("training", Work())), ARRAYS)
 
 
-def test_a_part_is_left_out_where_it_fails_but_not_for_a_disk_that_is_full():
+def test_a_part_that_fails_is_left_out_unless_the_disk_is_full():
     def full():
         raise OutputError("No space left")
 
@@ -370,9 +368,7 @@ def assert_same_model(one, other):
 
 
 @pytest.mark.long
-def test_a_run_that_goes_on_ends_in_the_same_model_and_does_nothing_twice(
-    whole, campaign, quick_settings, tmp_path
-):
+def test_a_resumed_run_ends_in_the_same_model(whole, campaign, quick_settings, tmp_path):
     model, pieces = whole
     done = sum(stopped_after(count, campaign, quick_settings, tmp_path) for count in (1, 6))
     assert done == 7 < len(pieces)
@@ -405,15 +401,13 @@ BEGUN_FROM = AutoStructure(ModelSpec(structure_named("integrator"), bounds={"gai
         {"drift": True},
         {"rivals": None},
         {"seed": 1},
+        {"logs": "fewer"},
     ],
     ids=lambda change: next(iter(change)),
 )
-def test_a_run_of_other_settings_is_refused(campaign, quick_settings, begun, change):
+def test_a_run_of_other_settings_or_logs_is_refused(campaign, quick_settings, begun, change):
+    if "logs" in change:
+        campaign = campaign.without({campaign.records[0].fingerprint})
+    settings = quick_settings | {name: value for name, value in change.items() if name != "logs"}
     with pytest.raises(InputError, match=r"with other logs, settings.*--force"):
-        hitchid.identify(campaign, **{**quick_settings, **change}, checkpoints=begun)
-
-
-def test_a_run_of_other_logs_is_refused(campaign, quick_settings, begun):
-    fewer = campaign.without({campaign.records[0].fingerprint})
-    with pytest.raises(InputError, match=r"with other logs.*--force"):
-        hitchid.identify(fewer, **quick_settings, checkpoints=begun)
+        hitchid.identify(campaign, **settings, checkpoints=begun)

@@ -86,7 +86,7 @@ def test_a_cell_of_csv_is_no_formula_and_numbers_are_numbers(table, tmp_path):
         assert {row[1] for row in rows} <= {"-1.5", "-inf"}
 
 
-def test_what_is_shown_on_a_terminal_has_no_sequence_of_its_own():
+def test_shown_text_has_no_terminal_sequence():
     stream = io.StringIO()
     content = RichTable(title="\x1b[1m[bold]title")
     content.add_column("\x1b]0;x\x07")

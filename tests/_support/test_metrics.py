@@ -70,14 +70,6 @@ def test_the_figures_of_a_hand_worked_example_come_out():
     assert figures == (2.5, 1.75, 0.75, 50.0, 4.0, 0.5)
 
 
-def test_a_sine_against_its_mean_has_the_fit_of_a_mean():
-    actual = np.sin(2 * np.pi * np.arange(1000) / 1000)
-    figures = error_figures([actual], [np.zeros(1000)])
-    assert figures.rmse == pytest.approx(np.sqrt(0.5), rel=1000 * EPS)
-    assert figures.r2 == pytest.approx(0.0, abs=2000 * EPS)
-    assert figures.fit == pytest.approx(0.0, abs=2e5 * EPS)
-
-
 @given(measured_and_predicted())
 def test_rmse_lies_between_mae_and_the_largest_error(pair):
     figures = error_figures(*pair)
@@ -117,9 +109,8 @@ def test_tests_at_different_heights_do_not_lend_each_other_spread():
     assert low == high
 
 
-@pytest.mark.parametrize("level", [0.0, 0.1, -3.0, 1e6 / 3, 7e-3])
-@pytest.mark.parametrize("samples", [3, 7, 100])
-def test_where_nothing_moved_r2_and_fit_are_zero_and_the_error_counts_in_full(level, samples):
+@pytest.mark.parametrize(("level", "samples"), [(0.0, 3), (0.1, 7), (-3.0, 100), (1e6 / 3, 7), (7e-3, 100)])
+def test_where_nothing_moved_r2_and_fit_are_zero(level, samples):
     actual = np.full(samples, level)
     figures = error_figures([actual], [actual + 2.0])
     assert figures.rmse == pytest.approx(2.0, rel=1e-9)  # level + 2 − level rounds at 3e5 to 6e-11
@@ -180,23 +171,23 @@ def test_more_comparisons_ask_for_a_smaller_p_value():
     power=st.integers(-20, 20),
     seed=st.integers(0, 99),
 )
-def test_of_two_models_at_most_one_is_better_in_any_unit_and_order(errors, power, seed):
+def test_of_two_models_at_most_one_is_better(errors, power, seed):
     rng = np.random.default_rng(seed)
     one = np.array(errors)
     other = one * rng.uniform(0.5, 1.5, one.size)
-    found = better_on_held_out_tests(one, other)
-    assert not (found and better_on_held_out_tests(other, one))
+    is_better = better_on_held_out_tests(one, other)
+    assert not (is_better and better_on_held_out_tests(other, one))
     assert not better_on_held_out_tests(one, one)
-    assert better_on_held_out_tests(2.0**power * one, 2.0**power * other) is found
+    assert better_on_held_out_tests(2.0**power * one, 2.0**power * other) is is_better
     # As many tests again, the same ones, take nothing back; nor do fewer comparisons.
-    assert better_on_held_out_tests(np.tile(one, 2), np.tile(other, 2)) or not found
-    assert found or not better_on_held_out_tests(one, other, comparisons=5)
+    assert better_on_held_out_tests(np.tile(one, 2), np.tile(other, 2)) or not is_better
+    assert is_better or not better_on_held_out_tests(one, other, comparisons=5)
 
 
-def test_of_models_alike_one_in_ten_choices_at_most_finds_one_of_five_better():
+def test_of_five_models_alike_one_is_rarely_called_better():
     """1000 choices tell a share of 10 % to 0.9 %, held to three of it."""
     rng = np.random.default_rng(2)
-    found = [
+    any_better = [
         any(
             better_on_held_out_tests(*np.exp(0.3 * rng.standard_normal((2, 14))), comparisons=5)
             for _ in range(5)
@@ -204,23 +195,22 @@ def test_of_models_alike_one_in_ten_choices_at_most_finds_one_of_five_better():
         for _ in range(1000)
     ]
     # Bonferroni: at most 10 %, and close to it for comparisons that are independent.
-    assert 0.05 < np.mean(found) < 0.1 + 3 * 0.009
+    assert 0.05 < np.mean(any_better) < 0.1 + 3 * 0.009
 
 
-def test_tests_that_err_alike_leave_no_doubt_about_the_rmse():
-    zeros = [np.zeros(7), np.zeros(7), np.zeros(7)]
-    assert rmse_error(zeros, [each + 3.0 for each in zeros]) == 0.0
-
-
-def test_the_standard_error_of_a_hand_worked_example_comes_out():
-    # Errors 1 and 7 in tests of equal length: without either the RMSE is 7 or 1, its mean 4, and
-    # s² = 1/2 (3² + 3²) = 9.
-    zeros = [np.zeros(5), np.zeros(5)]
-    assert rmse_error(zeros, [np.full(5, 1.0), np.full(5, 7.0)]) == pytest.approx(3.0, rel=10 * EPS)
-
-
-def test_one_test_says_nothing_of_the_next():
-    assert np.isnan(rmse_error([np.zeros(5)], [np.ones(5)]))
+@pytest.mark.parametrize(
+    ("errors", "expected"),
+    [
+        ([3.0, 3.0, 3.0], 0.0),
+        # Tests of equal length: without either the RMSE is 7 or 1, its mean 4, and s² = 1/2 (3² + 3²) = 9.
+        ([1.0, 7.0], 3.0),
+        # One test says nothing of the next.
+        ([1.0], np.nan),
+    ],
+)
+def test_the_standard_error_of_hand_worked_examples_comes_out(errors, expected):
+    estimate = rmse_error([np.zeros(5)] * len(errors), [np.full(5, error) for error in errors])
+    assert estimate == pytest.approx(expected, rel=10 * EPS, abs=0, nan_ok=True)
 
 
 def test_the_standard_error_is_what_campaigns_drawn_anew_show():
@@ -248,21 +238,21 @@ def test_of_models_alike_neither_surely_errs_less_but_by_chance(tests):
     assert called <= 0.09 * 500
 
 
-def test_a_model_twice_as_good_on_every_test_surely_errs_less():
-    errors = np.array([1.0, 1.2, 0.9, 1.1])
-    samples = np.array([1000, 500, 1000, 800])
-    assert significantly_better(errors, 2 * errors, samples)
-    assert not significantly_better(2 * errors, errors, samples)
-    assert not significantly_better(errors, errors, samples)
-
-
-def test_what_diverged_never_errs_less_and_one_test_tells_nothing():
-    samples = np.full(3, 10)
-    finite, wild = np.ones(3), np.array([1.0, np.inf, 1.0])
-    assert significantly_better(finite, wild, samples)
-    assert not significantly_better(wild, finite, samples)
-    assert not significantly_better(wild, wild, samples)
-    assert not significantly_better(np.array([1.0]), np.array([9.0]), np.array([10]))
+@pytest.mark.parametrize(
+    ("one", "other", "better"),
+    [
+        ([1.0, 1.2, 0.9, 1.1], [2.0, 2.4, 1.8, 2.2], True),
+        ([1.0, 1.0, 1.0], [1.0, np.inf, 1.0], True),
+        ([1.0, 1.2, 0.9, 1.1], [1.0, 1.2, 0.9, 1.1], False),
+        ([1.0, np.inf, 1.0], [1.0, np.inf, 1.0], False),
+        ([1.0], [9.0], False),
+    ],
+    ids=["half the error", "the other diverged", "alike", "both diverged", "one test"],
+)
+def test_what_errs_half_as_much_surely_errs_less(one, other, better):
+    samples = np.array([1000, 500, 1000, 800])[: len(one)]
+    assert significantly_better(np.array(one), np.array(other), samples) == better
+    assert not significantly_better(np.array(other), np.array(one), samples)
 
 
 def test_the_p_value_is_that_of_students_t():

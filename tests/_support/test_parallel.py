@@ -10,12 +10,12 @@ from hitchid._support.precision import parallel
 from hitchid.errors import FitError
 
 
-def test_results_come_in_the_order_of_the_names_and_in_double_precision():
+def test_results_come_in_order_and_double_precision():
     with jax.enable_x64(False):
-        found = parallel(lambda name: (name, jnp.ones(2).dtype), ["b", "a", "c"])
+        results = parallel(lambda name: (name, jnp.ones(2).dtype), ["b", "a", "c"])
         assert jnp.ones(2).dtype == jnp.float32
-    assert list(found) == ["b", "a", "c"]
-    assert found["a"] == ("a", jnp.float64)
+    assert list(results) == ["b", "a", "c"]
+    assert results["a"] == ("a", jnp.float64)
 
 
 def test_works_do_not_wait_for_each_other():

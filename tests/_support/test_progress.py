@@ -3,6 +3,7 @@
 import json
 import math
 import sys
+from io import StringIO
 from types import ModuleType
 
 import pytest
@@ -23,55 +24,53 @@ fractions = st.floats(0, 1)
 
 @given(fractions, fractions, fractions)
 def test_a_part_never_leaves_its_place_in_the_whole(start, width, done):
-    told = []
-    subtask_progress(told.append, start, width)(ProgressUpdate("stage", done))
-    assert start <= told[0].fraction <= start + width
+    updates = []
+    subtask_progress(updates.append, start, width)(ProgressUpdate("stage", done))
+    assert start <= updates[0].fraction <= start + width
 
 
 def test_parts_of_parts_are_named_from_the_outside_in():
-    told = []
-    subtask_progress(subtask_progress(told.append, 0.5, 0.5, "lifting"), 0.2, 0.4)(
-        ProgressUpdate("phase 1", 0.5, "iteration 3", {"RMSE": 1.0})
-    )
-    assert told == [
-        ProgressUpdate("lifting: phase 1", 0.5 + 0.5 * (0.2 + 0.4 * 0.5), "iteration 3", {"RMSE": 1.0})
-    ]
+    updates = []
+    inner = subtask_progress(subtask_progress(updates.append, 0.5, 0.5, "lifting"), 0.2, 0.4)
+    inner(ProgressUpdate("phase 1", 0.5, "iteration 3", {"RMSE": 1.0}))
+    fraction = 0.5 + 0.5 * (0.2 + 0.4 * 0.5)
+    assert updates == [ProgressUpdate("lifting: phase 1", fraction, "iteration 3", {"RMSE": 1.0})]
 
 
 @given(st.lists(st.tuples(st.sampled_from(["lifting", "lowering"]), fractions), min_size=1))
-def test_works_done_at_the_same_time_add_up_to_their_place_in_the_whole(told):
-    heard = []
-    tell = parallel_progress(heard.append, ["lifting", "lowering"])
+def test_simultaneous_works_add_up_to_the_whole(updates):
+    whole = []
+    tell = parallel_progress(whole.append, ["lifting", "lowering"])
     last = {"lifting": 0.0, "lowering": 0.0}
-    for name, fraction in told:
+    for name, fraction in updates:
         tell[name](ProgressUpdate("phase 1", fraction))
         last[name] = max(last[name], fraction)
         expected = pytest.approx((last["lifting"] + last["lowering"]) / 2)
-        assert heard[-1] == ProgressUpdate(f"{name}: phase 1", expected, task=name)
+        assert whole[-1] == ProgressUpdate(f"{name}: phase 1", expected, task=name)
 
 
 @given(st.lists(st.floats(0.01, 10), min_size=1, max_size=6), st.data())
 def test_parts_follow_each_other_from_beginning_to_end(shares, data):
-    told = []
-    parts = split_progress(told.append, {str(number): share for number, share in enumerate(shares)})
+    updates = []
+    parts = split_progress(updates.append, {str(number): share for number, share in enumerate(shares)})
     for number in range(len(shares)):
         for done in (0.0, data.draw(fractions), 1.0):
             parts[str(number)](ProgressUpdate("stage", done))
             before = sum(shares[:number])
-            assert told[-1].fraction == pytest.approx((before + done * shares[number]) / sum(shares))
+            assert updates[-1].fraction == pytest.approx((before + done * shares[number]) / sum(shares))
 
 
 def test_rounds_go_on_without_reaching_the_end():
-    told = []
-    hear = iteration_progress(told.append, "search", "RMSE / mm")
+    updates = []
+    hear = iteration_progress(updates.append, "search", "RMSE / mm")
     for number in range(1, 2000, 37):
         hear(number, 1.0 / number)
-    done = [step.fraction for step in told]
+    done = [step.fraction for step in updates]
     assert done == sorted(done)
     assert done[0] > 0
     assert done[-1] < 1
-    assert told[1].iteration == "iteration 38"
-    assert told[1].figures == {"RMSE / mm": 1.0 / 38}
+    assert updates[1].iteration == "iteration 38"
+    assert updates[1].figures == {"RMSE / mm": 1.0 / 38}
 
 
 @given(st.lists(st.floats(allow_nan=True, allow_infinity=True), max_size=200))
@@ -89,7 +88,7 @@ def test_a_falling_figure_is_drawn_falling():
     assert heights == sorted(heights, reverse=True)
 
 
-def test_the_figures_of_a_stage_are_shown_in_80_columns_and_go_with_it():
+def test_figures_of_a_stage_fit_80_columns_and_go_with_it():
     curves = Curves()
     for number in range(50):
         figures = {"RMSE on levels held out / mm": 1.0 / (1 + number), "another": 2.0}
@@ -102,7 +101,7 @@ def test_the_figures_of_a_stage_are_shown_in_80_columns_and_go_with_it():
     assert curves.__rich__().plain == ""
 
 
-def test_works_done_at_the_same_time_have_each_its_curves_until_the_whole_goes_on():
+def test_works_at_the_same_time_have_each_its_curves():
     curves = Curves()
     for number in range(20):
         for name in ("lifting", "lowering"):
@@ -117,14 +116,15 @@ def test_works_done_at_the_same_time_have_each_its_curves_until_the_whole_goes_o
     assert curves.__rich__().plain == ""
 
 
-def test_elsewhere_works_done_at_the_same_time_have_a_line_a_stage_and_one_where_each_ended(capsys):
+def test_in_a_file_a_stage_is_a_line_and_its_end(capsys):
     with progress() as report:
         for number in range(2):
             for name in ("lifting", "lowering"):
                 figures = {"RMSE / mm": 3.0 - number}
                 report(ProgressUpdate(f"{name}: search", 0.1, f"iteration {number}", figures, name))
         report(ProgressUpdate("lifting: training", 0.5, task="lifting"))
-        report(ProgressUpdate("validation", 0.9))
+        report(ProgressUpdate("validation", 0.9, "iteration 7", {"RMSE / mm": 1.0}))
+        report(ProgressUpdate("end", 1.0))
     assert capsys.readouterr().err.splitlines() == [
         " 10%  lifting: search",
         " 10%  lowering: search",
@@ -132,18 +132,8 @@ def test_elsewhere_works_done_at_the_same_time_have_a_line_a_stage_and_one_where
         " 50%  lifting: training",
         "      lowering, iteration 1: RMSE / mm 2",
         " 90%  validation",
-    ]
-
-
-def test_elsewhere_a_stage_is_a_line_with_where_it_ended_below(capsys):
-    with progress() as report:
-        for number in range(3):
-            report(ProgressUpdate("search", 0.1, f"iteration {number}", {"RMSE / mm": 3.0 - number}))
-        report(ProgressUpdate("training", 0.5))
-    assert capsys.readouterr().err.splitlines() == [
-        " 10%  search",
-        "      iteration 2: RMSE / mm 1",
-        " 50%  training",
+        "      iteration 7: RMSE / mm 1",
+        "100%  end",
     ]
 
 
@@ -184,26 +174,18 @@ def test_in_a_notebook_a_bar_is_replaced_and_messages_stay(monkeypatch):
     assert all("saved &lt;b&gt;" in content for content in handle.contents)
 
 
-def test_from_a_script_nothing_is_shown_and_a_function_gets_every_update(capsys):
+def test_in_a_script_only_a_function_gets_updates(capsys):
     updates = []
-    for asked in (True, False, None, updates.append):
-        with shown(asked) as report:
+    for display in (shown(True), shown(False), shown(None), shown(updates.append), progress(quiet=True)):
+        with display as report:
             report(ProgressUpdate("search", 0.1))
     assert capsys.readouterr() == ("", "")
     assert updates == [ProgressUpdate("search", 0.1)]
 
 
-def test_quietly_nothing_is_said(capsys):
-    with progress(quiet=True) as report:
-        report(ProgressUpdate("search", 0.1))
-    assert capsys.readouterr() == ("", "")
-
-
 @pytest.mark.parametrize("height", [24, 5])
 def test_on_a_terminal_the_figures_are_drawn_and_taken_away_again(monkeypatch, height):
     """On a terminal of any height; what is left on it at the end is nothing."""
-    from io import StringIO
-
     screen = StringIO()
     screen.isatty = lambda: True
     monkeypatch.setattr("sys.stderr", screen)

@@ -1,11 +1,8 @@
 """Results on disk: one form for equal content, whole or not at all, nothing replaced unasked."""
 
 import errno
-import hashlib
 import json
 import os
-import shlex
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -15,7 +12,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import benches
 from hitchid._support.files import (
     MANIFEST_FILE,
     canonical_json,
@@ -66,7 +62,6 @@ def test_a_number_that_is_not_finite_is_no_json(number):
 
 def test_the_digest_is_sha_256():
     assert digest(b"abc") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
-    assert digest(b"") == hashlib.sha256().hexdigest()
 
 
 def fill(text):
@@ -82,12 +77,20 @@ def left_in(folder):
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
 
 
+def write_result(folder, work, *, force=False):
+    write_folder(folder, work, result_kind="mark.json", force=force)
+
+
+def write_text(path, text, *, force=False):
+    write_file(path, lambda fresh: fresh.write_text(text) and None, force=force)
+
+
 @pytest.mark.parametrize("before", ["nothing", "empty folder", "missing parents"])
 def test_a_folder_appears_with_what_was_written(tmp_path, before):
     folder = tmp_path / "a" / "b" if before == "missing parents" else tmp_path / "a"
     if before == "empty folder":
         folder.mkdir()
-    write_folder(folder, fill("new"), result_kind="mark.json", force=False)
+    write_result(folder, fill("new"))
     assert (folder / "mark.json").read_text() == "new"
     assert left_in(folder.parent) == [
         folder.name,
@@ -98,11 +101,11 @@ def test_a_folder_appears_with_what_was_written(tmp_path, before):
 
 def test_a_folder_that_is_there_is_replaced_whole_and_only_by_force(tmp_path):
     folder = tmp_path / "a"
-    write_folder(folder, fill("old"), result_kind="mark.json", force=False)
+    write_result(folder, fill("old"))
     with pytest.raises(OutputError, match=r"a: exists already.*--force"):
-        write_folder(folder, fill("new"), result_kind="mark.json", force=False)
+        write_result(folder, fill("new"))
     assert (folder / "mark.json").read_text() == "old"
-    write_folder(folder, fill("new"), result_kind="mark.json", force=True)
+    write_result(folder, fill("new"), force=True)
     assert left_in(tmp_path) == ["a", f"a/{MANIFEST_FILE}", "a/mark.json"]
     assert (folder / "mark.json").read_text() == "new"
 
@@ -125,42 +128,73 @@ def no_manifest(folder):
 )
 def test_force_replaces_nothing_that_was_added_or_changed(tmp_path, touch, said):
     folder = tmp_path / "a"
-    write_folder(folder, fill("old"), result_kind="mark.json", force=False)
+    write_result(folder, fill("old"))
     (folder / "deep").mkdir()
     touch(folder)
     before = left_in(folder)
     with pytest.raises(OutputError, match=said):
-        write_folder(folder, fill("new"), result_kind="mark.json", force=True)
+        write_result(folder, fill("new"), force=True)
     assert left_in(folder) == before
     assert (folder / "mark.json").read_text() != "new"
 
 
-def test_force_replaces_no_result_of_another_kind_though_it_holds_such_a_file(tmp_path):
+def test_force_replaces_no_result_of_another_kind(tmp_path):
     folder = tmp_path / "study"
     write_folder(folder, fill("old"), result_kind="study.md", force=False)
     with pytest.raises(OutputError, match=r"study\.md, not with mark\.json"):
-        write_folder(folder, fill("new"), result_kind="mark.json", force=True)
+        write_result(folder, fill("new"), force=True)
 
 
 def test_what_is_put_there_during_the_work_stays(tmp_path):
     folder = tmp_path / "a"
-    write_folder(folder, fill("old"), result_kind="mark.json", force=False)
+    write_result(folder, fill("old"))
 
     def slow(place):
         (place / "mark.json").write_text("new")
         (folder / "notes.txt").write_text("mine")
 
     with pytest.raises(OutputError, match=r"notes\.txt"):
-        write_folder(folder, slow, result_kind="mark.json", force=True)
+        write_result(folder, slow, force=True)
     assert left_in(tmp_path) == ["a", f"a/{MANIFEST_FILE}", "a/mark.json", "a/notes.txt"]
 
 
 def test_what_a_link_points_to_is_replaced_and_the_link_stays(tmp_path):
-    write_folder(tmp_path / "a", fill("old"), result_kind="mark.json", force=False)
+    write_result(tmp_path / "a", fill("old"))
     (tmp_path / "link").symlink_to(tmp_path / "a")
-    write_folder(tmp_path / "link", fill("new"), result_kind="mark.json", force=True)
+    write_result(tmp_path / "link", fill("new"), force=True)
     assert (tmp_path / "link").is_symlink()
     assert (tmp_path / "a" / "mark.json").read_text() == "new"
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_work_that_failed_leaves_all_as_it_was(tmp_path, force):
+    def half(path):
+        path.write_text("half")
+        raise RuntimeError("stopped half-way")
+
+    if force:
+        write_result(tmp_path / "a", fill("old"))
+        write_text(tmp_path / "b", "old")
+    before = {path: path.is_file() and path.read_bytes() for path in tmp_path.rglob("*")}
+    with pytest.raises(RuntimeError, match="half-way"):
+        write_result(tmp_path / "a", fail, force=force)
+    with pytest.raises(RuntimeError, match="half-way"):
+        write_file(tmp_path / "b", half, force=force)
+    assert {path: path.is_file() and path.read_bytes() for path in tmp_path.rglob("*")} == before
+
+
+@pytest.mark.parametrize(("name", "message"), [("file/a", "file"), ("a" * 300, "aaa")])
+def test_an_impossible_place_is_refused(tmp_path, name, message):
+    (tmp_path / "file").write_text("mine")
+    for work in (
+        lambda path: check_folder(path, result_kind="mark.json", force=False),
+        lambda path: check_file(path, force=False),
+        lambda path: write_result(path, fill("new")),
+        lambda path: write_text(path, "new"),
+    ):
+        with pytest.raises(OutputError, match=message) as caught:
+            work(tmp_path / name)
+        assert str(caught.value).startswith(str(tmp_path))
 
 
 def test_an_input_is_never_an_output(tmp_path):
@@ -179,7 +213,7 @@ def test_an_input_is_never_an_output(tmp_path):
     check_inputs(logs / "model", [logs, log])
 
 
-def test_the_target_of_a_link_in_an_input_folder_is_never_an_output(tmp_path):
+def test_the_target_of_an_input_link_is_never_an_output(tmp_path):
     logs, elsewhere = tmp_path / "logs", tmp_path / "elsewhere"
     logs.mkdir()
     elsewhere.mkdir()
@@ -198,43 +232,8 @@ def test_force_replaces_nothing_of_another_kind(tmp_path, foreign):
     precious.parent.mkdir(exist_ok=True)
     precious.write_text("mine")
     with pytest.raises(OutputError, match=r"no .hitchid.json.*another folder"):
-        write_folder(tmp_path / "a", fill("new"), result_kind="mark.json", force=True)
+        write_result(tmp_path / "a", fill("new"), force=True)
     assert precious.read_text() == "mine"
-
-
-@pytest.mark.parametrize("force", [False, True])
-def test_a_folder_that_could_not_be_filled_leaves_all_as_it_was(tmp_path, force):
-    if force:
-        write_folder(tmp_path / "a", fill("old"), result_kind="mark.json", force=False)
-    before = left_in(tmp_path)
-    with pytest.raises(RuntimeError, match="half-way"):
-        write_folder(tmp_path / "a", fail, result_kind="mark.json", force=force)
-    assert left_in(tmp_path) == before
-    assert not force or (tmp_path / "a" / "mark.json").read_text() == "old"
-
-
-def test_a_place_inside_a_file_is_refused_before_any_work(tmp_path):
-    (tmp_path / "file").write_text("mine")
-    with pytest.raises(OutputError, match="file"):
-        check_folder(tmp_path / "file" / "a", result_kind="mark.json", force=False)
-    with pytest.raises(OutputError, match="file"):
-        check_file(tmp_path / "file" / "a", force=False)
-
-
-def test_a_place_that_cannot_be_written_is_named(tmp_path):
-    (tmp_path / "file").write_text("mine")
-    with pytest.raises(OutputError, match=f"^{tmp_path}/file/a: "):
-        write_folder(tmp_path / "file" / "a", fill("new"), result_kind="mark.json", force=False)
-    with pytest.raises(OutputError, match=f"^{tmp_path}/file/a: "):
-        write_file(tmp_path / "file" / "a", lambda path: path.touch(), force=False)
-
-
-def test_a_name_too_long_for_a_file_is_refused_by_name(tmp_path):
-    long = tmp_path / ("a" * 300)
-    with pytest.raises(OutputError, match="aaa"):
-        check_file(long, force=False)
-    with pytest.raises(OutputError, match="aaa"):
-        check_folder(long, result_kind="mark.json", force=False)
 
 
 def test_a_file_appears_with_what_was_written_and_keeps_its_ending(tmp_path):
@@ -250,34 +249,17 @@ def test_a_file_that_is_there_is_replaced_only_by_force(tmp_path):
     path = tmp_path / "a"
     path.write_text("old")
     with pytest.raises(OutputError, match=r"a: exists already.*--force"):
-        write_file(path, lambda fresh: fresh.write_text("new") and None, force=False)
+        write_text(path, "new")
     assert path.read_text() == "old"
-    write_file(path, lambda fresh: fresh.write_text("new") and None, force=True)
+    write_text(path, "new", force=True)
     assert path.read_text() == "new"
-
-
-def test_a_folder_is_never_replaced_by_a_file(tmp_path):
-    (tmp_path / "a").mkdir()
     with pytest.raises(OutputError, match="exists already"):
-        write_file(tmp_path / "a", lambda fresh: fresh.touch(), force=True)
-
-
-def test_a_file_that_could_not_be_written_leaves_all_as_it_was(tmp_path):
-    (tmp_path / "a").write_text("old")
-
-    def half(path):
-        path.write_text("half")
-        raise RuntimeError("stopped half-way")
-
-    with pytest.raises(RuntimeError, match="half-way"):
-        write_file(tmp_path / "a", half, force=True)
-    assert left_in(tmp_path) == ["a"]
-    assert (tmp_path / "a").read_text() == "old"
+        write_text(tmp_path, "new", force=True)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="there are no such locks")
 @pytest.mark.parametrize("name", ["a", "file [1]*"])
-def test_what_killed_writers_left_is_removed_and_what_others_write_is_not(tmp_path, name):
+def test_leftovers_of_killed_writers_are_removed(tmp_path, name):
     """A writer holds a lock on its folder, which ends with it."""
     left, written, mine = (
         tmp_path / f".{name}-{end}" for end in ("0123abcd.writing", "4567abcd.writing", "mine")
@@ -287,16 +269,16 @@ def test_what_killed_writers_left_is_removed_and_what_others_write_is_not(tmp_pa
         (folder / "mark.json").write_text("half")
     writer = os.open(written, os.O_RDONLY)
     fcntl.flock(writer, fcntl.LOCK_EX)
-    write_folder(tmp_path / name, fill("new"), result_kind="mark.json", force=False)
+    write_result(tmp_path / name, fill("new"))
     assert {path.name for path in tmp_path.iterdir()} == {written.name, mine.name, name}
     os.close(writer)
-    write_folder(tmp_path / name, fill("newer"), result_kind="mark.json", force=True)
+    write_result(tmp_path / name, fill("newer"), force=True)
     assert {path.name for path in tmp_path.iterdir()} == {mine.name, name}
 
 
 def test_a_writer_leaves_alone_what_another_one_of_its_target_writes(tmp_path):
     def slow(path):
-        write_file(tmp_path / "a", lambda other: other.write_text("first") and None, force=True)
+        write_text(tmp_path / "a", "first", force=True)
         path.write_text("second")
 
     write_file(tmp_path / "a", slow, force=True)
@@ -304,14 +286,14 @@ def test_a_writer_leaves_alone_what_another_one_of_its_target_writes(tmp_path):
     assert left_in(tmp_path) == ["a"]
 
 
-def test_a_folder_within_a_folder_is_written_as_a_result_of_its_own(tmp_path):
+def test_a_result_within_a_result_is_written(tmp_path):
     """As a study writes its models: the writer of the outer folder does not wait for itself."""
 
     def outer(folder):
-        write_folder(folder / "inner", fill("new"), result_kind="mark.json", force=False)
+        write_result(folder / "inner", fill("new"))
         fill("outer")(folder)
 
-    write_folder(tmp_path / "out", outer, result_kind="mark.json", force=False)
+    write_result(tmp_path / "out", outer)
     assert (tmp_path / "out" / "inner" / "mark.json").read_text() == "new"
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
@@ -350,20 +332,10 @@ for write in (
     except OutputError as error:
         print(error)
 """
-LIGHT = """
-[search]
-method = "multi-start"
-evaluations = 60
-compare = false
-[training]
-compensator = false
-[lifting]
-structure = "integrator"
-"""
 
 
 @pytest.mark.skipif(os.name == "nt", reason="there are no such limits")
-def test_a_file_that_cannot_grow_is_told_and_leaves_all_as_it_was(tmp_path):
+def test_a_file_that_cannot_grow_leaves_all_as_it_was(tmp_path):
     place = tmp_path / "place"
     write_folder(place / "folder", lambda beside: (beside / "mark").touch(), result_kind="mark", force=False)
     (place / "file").write_text("old")
@@ -375,87 +347,3 @@ def test_a_file_that_cannot_grow_is_told_and_leaves_all_as_it_was(tmp_path):
     assert of_folder.startswith(f"{place / 'folder'}: cannot be written: ")
     assert {path: path.read_bytes() for path in place.rglob("*") if path.is_file()} == before
     assert left_in(place) == ["file", "folder", f"folder/{MANIFEST_FILE}", "folder/mark"]
-
-
-@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="permissions do not bind root")
-def test_a_folder_without_permission_is_named(tmp_path):
-    tmp_path.chmod(0o500)
-    try:
-        with pytest.raises(OutputError, match=f"^{tmp_path / 'a'}: .*[Pp]ermission"):
-            write_folder(tmp_path / "a", fill("new"), result_kind="mark.json", force=False)
-        with pytest.raises(OutputError, match=f"^{tmp_path / 'a'}: .*[Pp]ermission"):
-            write_file(tmp_path / "a", lambda path: path.touch(), force=False)
-    finally:
-        tmp_path.chmod(0o700)
-    assert left_in(tmp_path) == []
-
-
-@pytest.fixture(scope="module")
-def mounted(tmp_path_factory):
-    """Return a function that runs lines of shell where `$disk` is a disk of its own, of 16 KiB to begin with.
-
-    In them `identify` runs the program on a bench that lifts, with `$disk/model` as its `--out`.
-    """
-    if shutil.which("unshare") is None:
-        pytest.skip("unshare is not installed")
-    place = tmp_path_factory.mktemp("disk")
-    logs = benches.write_bench(place / "logs", tests=3, samples=250)
-    for log in logs.glob("lowering-*"):
-        log.unlink()
-    (place / "light.toml").write_text(LIGHT)
-    (place / "disk").mkdir()
-    program = [sys.executable, "-c", "from hitchid.__main__ import main; main()", "identify", logs, "--quiet"]
-    program += ["--config", place / "light.toml", "--out", place / "disk" / "model"]
-    told = shlex.join(map(str, program))
-
-    def run(*lines):
-        script = [
-            f"disk={shlex.quote(str(place / 'disk'))}",
-            "mount -t tmpfs -o size=16k tmpfs $disk || exit 77",
-            f'identify() {{ {told} "$@"; echo "exit $?"; ls -A $disk; }}',
-            *lines,
-        ]
-        done = subprocess.run(  # noqa: S603
-            ["unshare", "-rm", "sh", "-c", "\n".join(script)],  # noqa: S607
-            capture_output=True,
-            text=True,
-            env={**os.environ, "XDG_CACHE_HOME": str(place / "cache")},
-        )
-        if done.returncode in (1, 77) and "exit" not in done.stdout:
-            pytest.skip(f"mounting is not permitted: {done.stderr}")
-        return done.stdout.splitlines(), done.stderr.splitlines()
-
-    return run
-
-
-@pytest.mark.long
-def test_a_full_disk_is_told_and_the_run_goes_on_once_there_is_room(mounted):
-    out, err = mounted(
-        "identify",
-        "echo kept $(ls $disk/model.unfinished)",
-        "mount -o remount,size=10m $disk",
-        "identify --resume",
-        "ls -A $disk/model",
-    )
-    (line,) = err
-    assert line.startswith("hitchid: ")
-    assert "disk/model" in line
-    assert "cannot be written" in line
-    assert "No space left on device" in line
-    kept = out.pop(2).split()
-    assert kept[0] == "kept"
-    assert "run.json" in kept
-    assert len(kept) > 2
-    assert out[:2] == ["exit 2", "model.unfinished"]
-    files = ["model.json", "rivals.json", "rivals.safetensors", "trace.json", "weights.safetensors"]
-    assert out[2:] == ["exit 0", "model", MANIFEST_FILE, *files]
-
-
-@pytest.mark.long
-def test_a_disk_that_is_read_only_is_told_in_one_line(mounted):
-    out, err = mounted("mount -o remount,ro $disk", "identify")
-    assert out == ["exit 2"]
-    (line,) = err
-    assert line.startswith("hitchid: ")
-    assert "disk/model" in line
-    assert "Read-only file system" in line

@@ -1,4 +1,4 @@
-"""Equality by content, hash and copies of records that hold arrays."""
+"""Records that hold arrays are equal by content and copied whole; notices say where and how grave."""
 
 import copy
 import pickle
@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hitchid._support.records import Value, same
+from hitchid._support.records import Notice, Severity, Value, same
 from hitchid.errors import LogError
 from hitchid.logs.unification import LeftOut
 
@@ -89,3 +89,12 @@ def test_an_error_of_a_log_keeps_its_place_in_a_copy():
     left_out = LeftOut("a", error)
     assert copy.deepcopy(left_out) == left_out
     assert left_out != LeftOut("a", LogError("a.csv", "cut short"))
+
+
+def test_a_notice_is_a_place_a_sentence_and_a_severity():
+    notice = Notice("clock-resampled", "the clock jitters")
+    assert str(notice) == "the clock jitters"
+    assert str(notice.at("log-1")) == "log-1: the clock jitters"
+    assert str(notice.at("@2").at("log-1")) == "log-1: @2: the clock jitters"
+    assert Notice("code", "sentence").severity is Severity.NOTE
+    assert Notice("code", "sentence", "here", Severity.FAULT).at("there").severity is Severity.FAULT

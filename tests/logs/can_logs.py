@@ -21,12 +21,14 @@ BA_ "ProtocolType" "J1939";
 
 def message(identifier, name, *signals, length=8):
     """Return a message of a DBC; the id of one with 29 bits has the bit `EXTENDED`."""
-    return "\n".join([f"BO_ {identifier} {name}: {length} ECU", *(f" SG_ {each}" for each in signals), ""])
+    return "\n".join(
+        [f"BO_ {identifier} {name}: {length} ECU", *(f" SG_ {signal}" for signal in signals), ""]
+    )
 
 
 def marked(*identifiers):
     """Return what marks messages of a DBC as J1939."""
-    return MARKS + "".join(f'BA_ "VFrameFormat" BO_ {each} 3;\n' for each in identifiers)
+    return MARKS + "".join(f'BA_ "VFrameFormat" BO_ {identifier} 3;\n' for identifier in identifiers)
 
 
 def write_dbc(path, *messages, behind=""):

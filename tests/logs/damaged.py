@@ -1,7 +1,4 @@
-"""What tests of readers of binary formats share: files cut short, foreign files, missing libraries."""
-
-import subprocess
-import sys
+"""What tests of readers of binary formats share: a table, files cut short, files of others."""
 
 import numpy as np
 import pytest
@@ -10,13 +7,6 @@ from hitchid.errors import LogError
 from hitchid.logs.content import ChannelSelection
 
 EVERYTHING = ChannelSelection("time_s", None)
-FOREIGN = {
-    "empty": b"",
-    "one byte": b"x",
-    "csv": b"time_s,x\n0,1\n" * 100,
-    "noise": bytes(range(256)) * 8,
-    "nuls": b"\x00" * 400,
-}
 
 
 def table(samples=60, seed=3):
@@ -65,54 +55,6 @@ def cut_everywhere(path, read, wanted=EVERYTHING, *, cuts=120, whole_at=()):
             )
     path.write_bytes(whole)
     return refused
-
-
-CHANGE_BYTES = """
-import importlib, pathlib, sys
-import numpy as np
-from hitchid.errors import LogError
-from hitchid.logs.content import ChannelSelection
-
-path, begin = pathlib.Path(sys.argv[2]), int(sys.argv[3])
-read, whole = importlib.import_module(sys.argv[1]).read, path.with_suffix(".whole").read_bytes()
-for number, at in enumerate(np.random.default_rng(5).integers(0, len(whole), 100).tolist()):
-    if number < begin:
-        continue
-    print(number, flush=True)
-    path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x5D]) + whole[at + 1:])
-    try:
-        read(path, ChannelSelection("time_s", None))
-    except MemoryError:
-        pass  # a length may have become any number
-    except LogError as error:
-        if not str(error).startswith(f"{path}: "):
-            raise
-"""
-
-
-def damage_everywhere(path, read):
-    """Change bytes at many places: a file is read or refused by name, whatever its library makes of it.
-
-    In a process of its own, for libraries in C may end it; `hitchid` reads such files in one, too.
-    """
-    path.with_suffix(".whole").write_bytes(path.read_bytes())
-    begin = deaths = 0
-    while begin < 100:
-        command = [sys.executable, "-c", CHANGE_BYTES, read.__module__, str(path), str(begin)]
-        child = subprocess.run(command, capture_output=True, text=True, timeout=120)  # noqa: S603
-        begin = int(child.stdout.split()[-1]) + 1
-        assert child.returncode <= 0, child.stderr
-        deaths += child.returncode < 0
-    assert begin == 100
-    assert deaths < 5
-    path.write_bytes(path.with_suffix(".whole").read_bytes())
-
-
-def without(monkeypatch, module):
-    """Make a module one that is not installed."""
-    for name in [name for name in sys.modules if name == module or name.startswith(f"{module}.")]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, module, None)
 
 
 def sample(package, *parts):

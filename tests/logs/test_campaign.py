@@ -56,13 +56,10 @@ def test_every_test_is_either_held_out_or_identified_from(kinds, patterns):
     for kind in set(kinds):
         held_out, rest = names(campaign.held_out(kind)), names(campaign.identification(kind))
         assert sorted(held_out + rest) == names(campaign.of_kind(kind))
-
-
-def test_patterns_hold_out_what_they_match_and_nothing_else():
-    records = [a_test(name) for name in ("a-050-x", "a-060-x", "b-050-y", "c")]
-    campaign = Campaign.of(records, test_patterns=["*-050-*"])
-    assert names(campaign.held_out(LIFTING)) == ["a-050-x", "b-050-y"]
-    assert names(campaign.identification(LIFTING)) == ["a-060-x", "c"]
+        for pattern in patterns or ():
+            assert set(fnmatch.filter(held_out, pattern)) == set(
+                fnmatch.filter(names(campaign.of_kind(kind)), pattern)
+            )
 
 
 def test_a_name_with_brackets_is_matched_by_its_escaped_pattern():
@@ -74,7 +71,7 @@ def test_a_name_with_brackets_is_matched_by_its_escaped_pattern():
 
 
 @pytest.mark.parametrize(
-    ("records", "said"),
+    ("records", "words"),
     [
         ([], ["at least one record"]),
         ([a_test("x"), a_test("x", LOWERING)], ["'x'", "names must differ"]),
@@ -86,14 +83,13 @@ def test_a_name_with_brackets_is_matched_by_its_escaped_pattern():
         ([a_test("x"), a_test("y", unit="bar")], ["'y'", "bar", "length"]),
     ],
 )
-def test_tests_that_do_not_fit_together_are_refused(records, said):
+def test_tests_that_do_not_fit_together_are_refused(records, words):
     with pytest.raises((InputError, LogError, SettingsError)) as caught:
         Campaign.of(records, strict=True)
-    for word in said:
-        assert word in str(caught.value)
+    assert all(word in str(caught.value) for word in words)
 
 
-def test_a_sensor_that_reads_constant_is_no_fault_where_no_command_came():
+def test_a_constant_sensor_without_command_is_no_fault():
     campaign = Campaign.of([a_test("rest", "idle", moved=np.full(40, 3.25)), a_test("x")])
     assert campaign.directions == (LIFTING,)
 
@@ -123,7 +119,7 @@ def test_two_rates_meet_on_one_of_them(steps, common):
     assert Campaign.of(records).step_s == common
 
 
-def test_a_rate_the_stamps_cannot_tell_from_the_common_one_is_adopted_as_it_is():
+def test_a_rate_close_to_the_common_one_is_adopted():
     odd = a_test("b", step_s=0.01 * (1 + 1e-6))
     campaign = Campaign.of([a_test("a"), odd, a_test("c")])
     assert campaign.records[1].step_s == 0.01
@@ -161,14 +157,18 @@ def a_cycle(name, repeats=1):
     )
 
 
-def test_cycles_are_cut_into_strokes_and_those_of_held_out_cycles_stay_held_out():
+def test_cycles_are_cut_into_strokes_and_held_out_ones_stay_so():
     campaign = Campaign.of([a_cycle(f"duty[{n}]") for n in range(5)], test_patterns=[escape("duty[3]")])
     assert campaign.directions == ()
     cut = campaign.segmented({})
-    assert names(cut.of_kind(LIFTING)) == [f"duty[{n}]#001" for n in range(5)]
-    assert names(cut.of_kind(LOWERING)) == [f"duty[{n}]#002" for n in range(5)]
     for mode, stroke in ((LIFTING, "#001"), (LOWERING, "#002")):
+        assert names(cut.of_kind(mode)) == [f"duty[{n}]{stroke}" for n in range(5)]
         assert names(cut.held_out(mode)) == [f"duty[3]{stroke}"]
+    # Cutting moves no sample.
+    for number, segment in enumerate(cut.of_kind(LOWERING)):
+        start = round(segment.start_s / 0.01)
+        whole = campaign.records[number].displacement
+        np.testing.assert_array_equal(segment.displacement, whole[start : start + len(segment)])
 
 
 def test_of_a_single_cycle_the_last_strokes_are_held_out():
@@ -176,14 +176,6 @@ def test_of_a_single_cycle_the_last_strokes_are_held_out():
     assert names(cut.of_kind(LIFTING)) == [f"only#{n:03d}" for n in (1, 3, 5, 7, 9)]
     assert names(cut.held_out(LIFTING)) == ["only#009"]
     assert names(cut.held_out(LOWERING)) == ["only#010"]
-
-
-def test_cutting_moves_no_sample():
-    campaign = Campaign.of([a_cycle("a"), a_cycle("b")])
-    for stroke in campaign.segmented({}).records:
-        whole = next(record for record in campaign.records if stroke.name.startswith(f"{record.name}#"))
-        start = round(stroke.start_s / 0.01)
-        np.testing.assert_array_equal(stroke.displacement, whole.displacement[start : start + len(stroke)])
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 import csv
 import gzip
 import io
+import re
 
 import numpy as np
 import pytest
@@ -132,6 +133,8 @@ GOOD = {
     ),
     "utf-16": PLAIN.encode("utf-16"),
     "utf-16, the other way round": b"\xfe\xff" + PLAIN.encode("utf-16-be"),
+    "utf-16 without a mark": PLAIN.encode("utf-16-le"),
+    "utf-16 without a mark, the other way round": PLAIN.encode("utf-16-be"),
     "latin-1": PLAIN.replace("\n", ",Höhe über Boden\n").encode("latin-1"),
     "columns in another order": "\n".join(",".join(line.split(",")[::-1]) for line in PLAIN.splitlines()),
 }
@@ -174,7 +177,7 @@ cells = st.text(st.sampled_from("0123456789.+-eEinfatyNxX_ dD\t\u2212\u0661\uff1
 
 @with_folder
 @given(cell=cells | st.text(st.characters(codec="utf-8", exclude_characters=',"\n\r\0'), max_size=8))
-def test_a_cell_is_the_number_it_says_or_is_refused_by_line_and_column(log, cell):
+def test_a_cell_is_its_number_or_refused_by_line(log, cell):
     path = log(with_cell(cell))
     try:
         read = read_table(path, NAMES).channels["current_up_A"].values[9]
@@ -196,7 +199,8 @@ def test_a_cell_is_the_number_it_says_or_is_refused_by_line_and_column(log, cell
         for word in ("", "  ", "-", "---", "NaN", "#N/A", "#DIV/0!", "null", "n/a", "OL", "?", "1.#QNAN")
     ]
     + [(word, 1.0) for word in ("ON", "true", "Yes", "EIN", "wahr")]
-    + [(word, 0.0) for word in ("off", "FALSE", "no", "aus", "nein")],
+    + [(word, 0.0) for word in ("off", "FALSE", "no", "aus", "nein")]
+    + [(word, np.inf) for word in ("inf", "-inf", "1e999")],
 )
 def test_missing_values_and_switches_are_told_from_text(log, cell, value):
     content = read_table(log(with_cell(cell)), NAMES)
@@ -206,11 +210,8 @@ def test_missing_values_and_switches_are_told_from_text(log, cell, value):
 
 @pytest.mark.parametrize("cell", ["\u22121", "0x10", "1_000", "\uff11", "1 2", "1d5", "1+2j", "1.2.3", "12%"])
 def test_what_is_no_number_is_named_with_line_and_column(log, cell):
-    with pytest.raises(LogError) as caught:
+    with pytest.raises(LogError, match=f"line 11: column 'current_up_A'.*'{re.escape(cell)}'"):
         read_table(log(with_cell(cell)), NAMES)
-    message = str(caught.value)
-    assert "line 11: column 'current_up_A'" in message
-    assert f"'{cell}'" in message
 
 
 BAD = {
@@ -248,43 +249,29 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize(("content", "said"), BAD.values(), ids=BAD.keys())
-def test_what_cannot_be_used_is_refused_by_name(log, content, said):
+@pytest.mark.parametrize(("content", "words"), BAD.values(), ids=BAD.keys())
+def test_what_cannot_be_used_is_refused_by_name(log, content, words):
     path = log(content)
-    with pytest.raises(LogError) as caught:
+    with pytest.raises(LogError, match=f"^{re.escape(str(path))}: ") as caught:
         read_table(path, NAMES)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ")
-    for word in said:
-        assert word in message
+    assert all(word in str(caught.value) for word in words)
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        PLAIN.replace("\n", "\r"),
-        PLAIN.replace("\n", ",a\rb\n"),
-        PLAIN.replace("\n", ",a\rb\r\n"),
-        PLAIN.replace(HEADER, HEADER + "," + "x" * 200_000),
-        with_cell("x").replace("\n", "," + "x" * 200_000 + "\n"),
-        with_cell('"1'),
-        b"\x00" * 1000,
-        "," * 10_000,
-        '"' * 1001,
-    ],
-    ids=[
-        "old macintosh line ends",
-        "stray carriage returns",
-        "stray carriage returns before windows line ends",
-        "a name of 200 000 letters",
-        "cells of 200 000 letters",
-        "a quote that is never closed",
-        "nuls",
-        "commas",
-        "quotes",
-    ],
-)
-def test_whatever_stands_in_a_file_it_is_read_or_refused_in_one_line(log, content):
+STRANGE = {
+    "old macintosh line ends": PLAIN.replace("\n", "\r"),
+    "stray carriage returns": PLAIN.replace("\n", ",a\rb\n"),
+    "stray carriage returns before windows line ends": PLAIN.replace("\n", ",a\rb\r\n"),
+    "a name of 200 000 letters": PLAIN.replace(HEADER, HEADER + "," + "x" * 200_000),
+    "cells of 200 000 letters": with_cell("x").replace("\n", "," + "x" * 200_000 + "\n"),
+    "a quote that is never closed": with_cell('"1'),
+    "nuls": b"\x00" * 1000,
+    "commas": "," * 10_000,
+    "quotes": '"' * 1001,
+}
+
+
+@pytest.mark.parametrize("content", STRANGE.values(), ids=STRANGE.keys())
+def test_any_content_is_read_or_refused_in_one_line(log, content):
     try:
         table = read_table(log(content), NAMES)
     except LogError as error:
@@ -321,7 +308,7 @@ def test_a_unit_that_is_not_known_does_not_hide_the_others(log, foreign):
     rows = "".join(f"{10 * k};{k};20,5;{k}\n" for k in range(30))
     content = read(log(f"t;u;temp;x\nms;mA;{foreign};cm\n{rows}"), ChannelSelection("t", ("u", "temp", "x")))
     units = {"t": "ms", "u": "mA", "temp": foreign, "x": "cm"}
-    assert {name: each.unit for name, each in content.channels.items()} == units
+    assert {name: channel.unit for name, channel in content.channels.items()} == units
     assert len(content.channels["t"].values) == 30
 
 
@@ -333,7 +320,7 @@ def test_a_name_that_brackets_alone_tell_apart_must_be_whole(log):
     assert (whole.values[3], whole.unit) == (6.0, "mm")
 
 
-def test_a_line_without_a_sample_is_left_out_and_none_is_lost_above_it(log):
+def test_a_line_without_a_sample_costs_no_other_line(log):
     comments = ("# at 3 s, lever 5 moved", "// at 3 s", "; 1 A", "% 0.2: pause")
     for row in (1, 9, 29):
         for line in (*comments, "ERR,overrun,", "   ", ",,", HEADER):
@@ -347,14 +334,15 @@ def test_a_line_without_a_sample_is_left_out_and_none_is_lost_above_it(log):
                 assert f"line {row + 2}" in notice
 
 
-def test_commas_that_may_be_thousands_are_refused(log):
-    rows = "".join(f"{k};{k};{cell}\n" for k, cell in enumerate(["998", "999", "1,000", "1,001"] * 5))
-    with pytest.raises(LogError, match="a decimal comma or a thousands separator"):
-        read(log("time_s;current_up_A;p\n" + rows), ChannelSelection("time_s", ("p",)))
+@pytest.mark.parametrize(("sign", "name"), [(",", "comma"), (".", "point")])
+def test_signs_that_may_be_decimal_or_thousands_are_refused(log, sign, name):
+    cells = ["998", "999", f"1{sign}000", f"1{sign}001"] * 5
+    text = "time_s;current_up_A;p\n" + "".join(f"{k};{k};{cell}\n" for k, cell in enumerate(cells))
+    with pytest.raises(LogError, match=f"a decimal {name} or a thousands separator"):
+        read(log(text), ChannelSelection("time_s", ("p",)))
     for decimal in ("0,998", "1,5", "1,0005"):
-        text = "time_s;current_up_A;p\n" + rows.replace("998", decimal, 1)
-        content = read(log(text), ChannelSelection("time_s", ("p",)))
-        assert content.channels["p"].values[2] == 1.0
+        decided = text.replace("998", decimal.replace(",", sign), 1)
+        assert read(log(decided), ChannelSelection("time_s", ("p",))).channels["p"].values[2] == 1.0
 
 
 @pytest.fixture
@@ -398,12 +386,6 @@ def test_a_decimal_comma_that_appears_late_is_one(log, late):
         read(log(f"time_s;p\n{rows}{late};12,5\n0;12.5\n"), ChannelSelection("time_s", ("p",)))
 
 
-def test_whole_numbers_beside_three_decimals_are_refused_with_a_point_too(log):
-    rows = "".join(f"{k},{cell}\n" for k, cell in enumerate(["998", "999", "1.000", "1.001"] * 5))
-    with pytest.raises(LogError, match="a decimal point or a thousands separator"):
-        read(log("time_s,p\n" + rows), ChannelSelection("time_s", ("p",)))
-
-
 def test_no_cut_of_the_last_row_passes_for_a_sample(log):
     fixed = HEADER + "\n" + "".join(f"{k / 100:.2f},{k % 3},{k * 1.2345 + 10:.4f}\n" for k in range(30))
     whole = read_table(log(fixed)).channels
@@ -413,7 +395,8 @@ def test_no_cut_of_the_last_row_passes_for_a_sample(log):
         rows = 30 if cut == 1 else 29
         for name, channel in content.channels.items():
             assert same_bits(channel.values, whole[name].values[:rows])
-        assert len(content.notices) == 1
+        (notice,) = content.notices
+        assert cut > 1 or "truncated" in notice
 
 
 @pytest.mark.parametrize("zeros", [1, 4096, 5_000_000])
@@ -456,12 +439,7 @@ def test_a_row_of_percents_is_a_row_of_units(log, units):
     assert channels["x"].values.size == 30
 
 
-def test_text_in_utf_16_needs_no_mark(log):
-    for encoding in ("utf-16-le", "utf-16-be"):
-        assert same_bits(read_table(log(PLAIN.encode(encoding))).channels["time_s"].values, WANTED["time_s"])
-
-
-def test_a_few_cells_that_are_no_number_are_left_out_and_told(log):
+def test_a_few_bad_cells_are_left_out_and_counted(log):
     rows = [f"{k},{k},{k}" for k in range(300)]
     rows[7] = "7,7l,7"
     content = read_table(log("\n".join([HEADER, *rows, ""])))
@@ -469,18 +447,6 @@ def test_a_few_cells_that_are_no_number_are_left_out_and_told(log):
     (notice,) = content.notices
     assert "1 of 300 cells" in notice
     assert "line 9: column 'current_up_A': expected a number, got '7l'" in notice
-
-
-def test_a_last_line_without_an_end_is_told(log):
-    wanted = ChannelSelection(NAMES[0], NAMES[1:])
-    assert read(log(PLAIN), wanted).notices == ()
-    (notice,) = read(log(PLAIN.rstrip("\n")), wanted).notices
-    assert "truncated" in notice
-
-
-@pytest.mark.parametrize("cell", ["nan", "inf", "-inf", "1e999"])
-def test_what_is_not_finite_is_read_as_it_stands(log, cell):
-    assert same_bits(read_table(log(with_cell(cell)), NAMES).channels["current_up_A"].values[9], float(cell))
 
 
 def test_a_damaged_archive_is_refused(log):
@@ -492,14 +458,6 @@ def test_a_damaged_archive_is_refused(log):
             read_table(log(content, "log.csv.gz"), NAMES)
     with pytest.raises(LogError, match="empty"):
         read_table(log(b"", "log.csv.gz"), NAMES)
-
-
-def test_what_is_no_file_is_refused(tmp_path):
-    (tmp_path / "folder.csv").mkdir()
-    (tmp_path / "loop.csv").symlink_to(tmp_path / "loop.csv")
-    for name in ("folder.csv", "loop.csv", "missing.csv", "a" * 300 + ".csv"):
-        with pytest.raises(LogError, match="cannot be read"):
-            read_table(tmp_path / name, NAMES)
 
 
 @pytest.mark.parametrize(
@@ -536,14 +494,15 @@ max,,1.7e+308,1.7e+308,100
     return text.encode().replace(b"????", bytes([0xBF, 0xC0, 0xC8, 0xC4]))
 
 
-def test_an_export_of_controldesk_is_read_by_the_last_parts_of_paths(log):
+def test_a_controldesk_export_is_read_by_ends_of_paths(log):
     content = read(log(exported()), ChannelSelection("time_s", ("Boom_ang", "Head_P", "up")))
-    units = {"time_s": "s", "Boom_ang": "deg", "Head_P": "bar", "up": "%"}
-    assert {name: channel.unit for name, channel in content.channels.items()} == units
-    np.testing.assert_array_equal(content.channels["time_s"].values, [0.0, 0.0099887, 0.0200245])
-    np.testing.assert_array_equal(content.channels["Boom_ang"].values, [0.0, -1.5, -3.0])
-    np.testing.assert_array_equal(content.channels["Head_P"].values, [90, 91, 92])
-    np.testing.assert_array_equal(content.channels["up"].values, [0, 10, 20])
+    channels = {name: (channel.unit, channel.values.tolist()) for name, channel in content.channels.items()}
+    assert channels == {
+        "time_s": ("s", [0.0, 0.0099887, 0.0200245]),
+        "Boom_ang": ("deg", [0.0, -1.5, -3.0]),
+        "Head_P": ("bar", [90, 91, 92]),
+        "up": ("%", [0, 10, 20]),
+    }
     assert content.line_of(1) == 15
     header, rows, lines = read_rows(log(exported()))
     assert header == ["", "time_s", "Head_P", "Boom_ang", "up"]
@@ -558,11 +517,9 @@ def test_every_raster_of_controldesk_has_a_time_of_its_own(log):
         read(log(exported("1ms", names="In1,In1,")), ChannelSelection("time_s", ("Head_P",)))
 
 
-def test_a_name_that_stands_twice_does_no_harm_unless_it_is_asked_for(log):
-    doubled = PLAIN.replace("\n", ",1,2\n").replace(",1,2", ",In1,In1", 1)
-    assert read(log(doubled), ChannelSelection("time_s", ("current_up_A",))).channels[
-        "time_s"
-    ].values.size == len(ROWS)
-    assert "In1" not in read(log(doubled), ChannelSelection("time_s", None)).channels
+def test_a_doubled_name_is_refused_only_where_required(log):
+    path = log(PLAIN.replace("\n", ",1,2\n").replace(",1,2", ",In1,In1", 1))
+    assert read_table(path, NAMES[:2]).channels["time_s"].values.size == len(ROWS)
+    assert "In1" not in read(path, ChannelSelection("time_s", None)).channels
     with pytest.raises(LogError, match="column 'In1': the name is ambiguous: In1, In1"):
-        read(log(doubled), ChannelSelection("time_s", ("In1",)))
+        read(path, ChannelSelection("time_s", ("In1",)))

@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -68,27 +69,18 @@ SIGNED_TABLE = {
 }
 
 
-@pytest.mark.parametrize(
-    ("table", "signals", "records"),
-    [
-        (columns(), None, 1),
-        (columns(JITTER), None, 1),
-        (columns(GAP), None, 2),
-        (columns(SHORT_GAP), None, 1),
-        (columns(TWICE), None, 1),
-        (named(), TWO, 1),
-        (SIGNED_TABLE, SIGNED, 1),
-    ],
-    ids=[
-        "plain",
-        "jitter",
-        "gap",
-        "short gap",
-        "equal stamps",
-        "other columns",
-        "signed, zero, scale, covariates",
-    ],
-)
+TABLES = {
+    "plain": (columns(), None, 1),
+    "jitter": (columns(JITTER), None, 1),
+    "gap": (columns(GAP), None, 2),
+    "short gap": (columns(SHORT_GAP), None, 1),
+    "equal stamps": (columns(TWICE), None, 1),
+    "other columns": (named(), TWO, 1),
+    "signed, zero, scale, covariates": (SIGNED_TABLE, SIGNED, 1),
+}
+
+
+@pytest.mark.parametrize(("table", "signals", "records"), TABLES.values(), ids=TABLES.keys())
 def test_a_table_gives_the_records_of_the_same_file(tmp_path, table, signals, records):
     from_file = read_file(tmp_path, table, signals)
     from_table = Campaign.from_dataframes({"a": pd.DataFrame(table)}, signals=signals)
@@ -100,7 +92,7 @@ def test_a_table_gives_the_records_of_the_same_file(tmp_path, table, signals, re
         assert Record.from_dataframe(pd.DataFrame(table), name="a", signals=signals) == from_file[0]
 
 
-def test_units_of_columns_are_those_of_a_line_of_units_in_a_file(tmp_path):
+def test_units_of_columns_are_as_in_a_file(tmp_path):
     table = dict(zip(("t_s", "i", "x_mm"), (STAMPS, 1e3 * COMMAND, np.cumsum(COMMAND)), strict=True))
     signals = {"time": "t_s", "displacement": "x_mm", "lifting_command": {"column": "i", "unit": "A"}}
     rows = zip(*(map(repr, values.tolist()) for values in table.values()), strict=True)
@@ -142,25 +134,13 @@ def test_any_column_of_numbers_is_read(dtype):
     assert Record.from_dataframe(frame.astype({"displacement_mm": dtype})) == Record.from_dataframe(frame)
 
 
-class Column:
-    """A column as polars has it."""
+class Table(dict):
+    """A table as polars has it: names, columns with `to_numpy`, no index."""
 
-    def __init__(self, values):
-        self.values = values
-
-    def to_numpy(self):
-        return self.values
-
-
-class Table:
-    """A table as polars has it: names, columns, no index."""
-
-    def __init__(self, content):
-        self.content = content
-        self.columns = list(content)
+    columns = property(list)
 
     def __getitem__(self, name):
-        return Column(self.content[name])
+        return SimpleNamespace(to_numpy=lambda: super(Table, self).__getitem__(name))
 
 
 def test_a_table_of_polars_is_read():
@@ -200,31 +180,26 @@ def test_covariates_come_back_under_the_names_of_their_columns():
     np.testing.assert_array_equal(back.signals["load_kN"], record.signals["load"])
 
 
-def test_kinds_patterns_and_names():
+def test_kinds_patterns_names_and_end_stops():
     frame = pd.DataFrame(columns())
-    campaign = Campaign.from_dataframes(
-        {"up-1": frame, "up-2": frame}, test_patterns=["*-2"], kinds={"*": "lifting"}
-    )
+    options = {"test_patterns": ["*-2"], "kinds": {"*": "lifting"}, "end_stops": (0.0, 250.0)}
+    campaign = Campaign.from_dataframes({"up-1": frame, "up-2": frame}, **options)
     assert [record.name for record in campaign.held_out("lifting")] == ["up-2"]
+    assert campaign.end_stops == (0.0, 250.0)
+    with pytest.raises(InputError, match=r"end_stops: expected the lower and the higher position"):
+        Campaign.from_dataframes([frame], end_stops=(250.0, 0.0))
     assert [record.name for record in Campaign.from_dataframes([frame, frame])] == ["test-1", "test-2"]
     assert Record.from_dataframe(frame).kind == "lifting"
     assert Record.from_dataframe(frame, kind="ramp").kind == "ramp"
 
 
-def test_end_stops_are_said_of_tables_too():
-    frames = [pd.DataFrame(columns())]
-    assert Campaign.from_dataframes(frames, end_stops=(0.0, 250.0)).end_stops == (0.0, 250.0)
-    with pytest.raises(InputError, match=r"end_stops: expected the lower and the higher position"):
-        Campaign.from_dataframes(frames, end_stops=(250.0, 0.0))
-
-
-def test_a_table_that_cannot_be_used_is_left_out_with_the_reason():
+def test_an_unusable_table_is_left_out_with_the_reason():
     good, bad = pd.DataFrame(columns()), pd.DataFrame(columns()).assign(displacement_mm=np.nan)
     campaign = Campaign.from_dataframes({"good": good, "bad": bad})
     assert [record.name for record in campaign] == ["good"]
-    assert [(item.name, "expected finite numbers, got nan" in item.reason) for item in campaign.left_out] == [
-        ("bad", True)
-    ]
+    (left_out,) = campaign.left_out
+    assert left_out.name == "bad"
+    assert "expected finite numbers, got nan" in left_out.reason
     with pytest.raises(LogError, match="bad: column 'displacement_mm': expected finite numbers"):
         Campaign.from_dataframes({"good": good, "bad": bad}, strict=True)
 
@@ -259,10 +234,7 @@ FRAME = pd.DataFrame(columns())
         (lambda: Record.from_dataframe(FRAME.iloc[:0]), "has 0 samples, expected at least 20"),
         (lambda: Record.from_dataframe(FRAME.assign(displacement_mm="x")), "expected numbers, got"),
         (lambda: Record.from_dataframe(FRAME.assign(command_A=0.0)), "either command or lifting_command"),
-        (
-            lambda: Record.from_dataframe(FRAME.assign(lifting_command_A=0.0)),
-            "both match lifting_command",
-        ),
+        (lambda: Record.from_dataframe(FRAME.assign(lifting_command_A=0.0)), "both match lifting_command"),
         (lambda: Record.from_dataframe(pd.concat([FRAME, FRAME], axis=1)), "both match time"),
         (lambda: Record.from_dataframe(FRAME, signals={**TWO, "time": "time_s"}), "'x_mm': there is no such"),
         (lambda: Campaign.from_dataframes(FRAME), "frames: expected a list of tables, or name to table"),

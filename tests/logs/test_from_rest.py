@@ -47,11 +47,11 @@ def log(*strokes, gap=GAP, noise=0.0):
 )
 def test_a_part_after_a_gap_is_used_from_rest(strokes, gap, starts):
     campaign = Campaign.from_dataframes({"a": log(*strokes, gap=gap)})
-    found, notices = from_rest(campaign)
-    assert [record.start_s for record in found] == pytest.approx(STEP_S * np.array(starts))
-    assert found[0] == campaign[0]
-    assert any("a@2" in notice and "motion" in notice for notice in notices) == (len(found) < len(campaign))
-    assert from_rest(found)[0] == found
+    at_rest, notices = from_rest(campaign)
+    assert [record.start_s for record in at_rest] == pytest.approx(STEP_S * np.array(starts))
+    assert at_rest[0] == campaign[0]
+    assert any("a@2" in notice and "motion" in notice for notice in notices) == (len(at_rest) < len(campaign))
+    assert from_rest(at_rest)[0] == at_rest
 
 
 def test_motion_after_a_gap_is_used_with_a_warning_where_nothing_else_is():

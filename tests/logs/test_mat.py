@@ -6,10 +6,7 @@ import zlib
 import h5py
 import numpy as np
 import pytest
-from damaged import FOREIGN, cut_everywhere, damage_everywhere, sample, table, without
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
+from damaged import cut_everywhere, sample
 from scipy import sparse
 from scipy.io import savemat
 
@@ -22,7 +19,6 @@ SIGNALS = {"t": np.arange(SAMPLES) / 100, "up": np.arange(SAMPLES) % 3, "x": np.
 ALL, SOME = ChannelSelection("t", None), ChannelSelection("t", ("x", "up"))
 WAYS = ({}, {"oned_as": "column"}, {"do_compression": True}, {"format": "4"})
 WAY_NAMES = ["rows", "columns", "compressed", "version 4"]
-finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
 def mat73(path, variables):
@@ -111,31 +107,12 @@ def test_vectors_are_read_however_they_were_saved(log, way):
         assert (channel.unit, channel.clock_s) == (None, None)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(samples=arrays(np.float64, st.integers(2, 30), elements=finite))
-def test_any_finite_number_reads_back_bit_for_bit(tmp_path, samples):
-    savemat(tmp_path / "log.mat", {"x": samples})
-    assert read(tmp_path / "log.mat", ALL).channels["x"].values.tobytes() == samples.tobytes()
-
-
 @pytest.mark.parametrize("kind", [np.int8, np.uint16, np.int32, np.int64, np.float32, np.bool_])
 def test_whole_single_and_logical_numbers_are_numbers(saved, kind):
     samples = (np.arange(SAMPLES) % 2).astype(kind)
     values = read(saved({"x": samples}), ALL).channels["x"].values
     assert (values.dtype, values.shape) == (np.float64, (SAMPLES,))
     np.testing.assert_array_equal(values, samples)
-
-
-@pytest.mark.parametrize("turned", [False, True])
-def test_tables_of_version_7_3_are_read_bit_for_bit(tmp_path, turned):
-    columns = table()
-    mat73(
-        tmp_path / "log.mat",
-        {name: values[:, None] if turned else values for name, values in columns.items()},
-    )
-    content = read(tmp_path / "log.mat", ChannelSelection("time_s", ("stroke_mm", "current_mA", "x")))
-    for name, values in columns.items():
-        assert content.channels[name].values.tobytes() == values.tobytes()
 
 
 @pytest.mark.parametrize("turned", [False, True], ids=["rows are samples", "columns are samples"])
@@ -149,14 +126,8 @@ def test_columns_of_matrices_are_channels(saved, turned):
         np.testing.assert_array_equal(channels[name].values, samples)
 
 
-def test_columns_of_a_matrix_of_version_4_are_channels(tmp_path):
-    data = np.random.default_rng(0).normal(size=(SAMPLES, 3))
-    savemat(tmp_path / "log.mat", {"data": data}, format="4")
-    channels = read(tmp_path / "log.mat", ALL).channels
-    np.testing.assert_array_equal(np.array([channels[f"data(:,{k})"].values for k in (1, 2, 3)]), data.T)
-
-
 NO_VECTORS = {
+    "complex numbers": np.ones(SAMPLES) * 1j,
     "a square": np.ones((3, 3)),
     "a cube": np.ones((2, 2, SAMPLES)),
     "one number": 3.0,
@@ -170,17 +141,11 @@ NO_VECTORS = {
 
 
 @pytest.mark.parametrize("x", NO_VECTORS.values(), ids=NO_VECTORS.keys())
-def test_what_is_no_vector_is_missed_by_name_beside_those_there_are(log, x):
-    with pytest.raises(LogError, match=r"log\.mat: column 'x': .*found t, up$"):
+def test_what_is_no_vector_is_missed_by_name(log, x):
+    message = "vector" if np.iscomplexobj(x) else "found t, up$"
+    with pytest.raises(LogError, match=rf"log\.mat: column 'x': .*{message}"):
         read(log({"x": x}), SOME)
     assert list(read(log({"x": x}), ALL).channels) == ["t", "up"]
-
-
-def test_complex_numbers_are_refused_by_name_and_passed_over_among_all(log):
-    path = log({"x": np.ones(SAMPLES) * 1j})
-    with pytest.raises(LogError, match=r"log\.mat: column 'x': .*vector"):
-        read(path, SOME)
-    assert list(read(path, ALL).channels) == ["t", "up"]
 
 
 MIXED = ChannelSelection("x", ("log/rig/x", "stroke"))
@@ -276,7 +241,7 @@ def test_what_is_kept_in_another_file_is_refused(tmp_path):
 def test_a_file_cut_short_anywhere_is_refused(log, way):
     path = log(**way)
     whole = path.read_bytes()
-    for size in range(0, len(whole), 11):
+    for size in range(0, len(whole), 31):
         path.write_bytes(whole[:size])
         with pytest.raises(LogError, match=r"log\.mat"):
             read(path, SOME)
@@ -303,10 +268,6 @@ def test_a_damaged_compressed_file_is_refused(log):
             read(path, SOME)
 
 
-def test_damage_is_refused_or_harmless(saved):
-    damage_everywhere(saved(NESTED | {"rec": control_desk(RTProgram="x")}), read)
-
-
 def matrix(kind, shape, length=None):
     """Return a variable of MATLAB 5 that declares a shape and carries one number."""
     inside = struct.pack("<IIII", 6, 8, kind, 0) + struct.pack("<II", 5, 4 * len(shape))
@@ -321,46 +282,27 @@ def matrix(kind, shape, length=None):
 HUGE = (0x40000000, 0x40000000)
 
 
-@pytest.mark.parametrize("kind", [1, 2, 6], ids=["cells", "structs", "doubles"])
-@pytest.mark.parametrize("packed", [False, True])
-def test_absurd_sizes_are_refused_before_memory_is_asked_for(tmp_path, kind, packed):
-    variable = matrix(kind, HUGE)
-    if packed:
-        squeezed = zlib.compress(variable)
-        variable = struct.pack("<II", 15, len(squeezed)) + squeezed
+def packed(variable):
+    squeezed = zlib.compress(variable)
+    return struct.pack("<II", 15, len(squeezed)) + squeezed
+
+
+@pytest.mark.parametrize(
+    ("variable", "declared"),
+    [
+        (matrix(1, HUGE), "1152921504606846976 values"),
+        (matrix(2, HUGE), "1152921504606846976 values"),
+        (matrix(6, HUGE), "1152921504606846976 values"),
+        (packed(matrix(6, HUGE)), "1152921504606846976 values"),
+        (packed(matrix(6, (1, 2), length=0xFFFFFFF0)), "4294967280"),
+    ],
+    ids=["cells", "structs", "doubles", "compressed doubles", "a compressed part"],
+)
+def test_absurd_sizes_are_refused_before_memory_is_required(tmp_path, variable, declared):
     header = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H2s", 0x0100, b"IM")
     (tmp_path / "log.mat").write_bytes(header + variable)
-    with pytest.raises(LogError, match=r"\d+ bytes declare 1152921504606846976 values"):
+    with pytest.raises(LogError, match=rf"\d+ bytes declare {declared}"):
         read(tmp_path / "log.mat", ALL)
-
-
-def test_a_compressed_part_larger_than_compression_allows_is_refused(tmp_path):
-    squeezed = zlib.compress(matrix(6, (1, 2), length=0xFFFFFFF0))
-    header = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H2s", 0x0100, b"IM")
-    (tmp_path / "log.mat").write_bytes(header + struct.pack("<II", 15, len(squeezed)) + squeezed)
-    with pytest.raises(LogError, match=rf"{len(squeezed)} bytes declare 4294967280"):
-        read(tmp_path / "log.mat", ALL)
-
-
-@pytest.mark.parametrize("content", [*FOREIGN.values(), b"\x89HDF\r\n\x1a\n" + b"\x00" * 600])
-def test_what_is_no_matlab_file_is_refused(tmp_path, content):
-    (tmp_path / "log.mat").write_bytes(content)
-    with pytest.raises(LogError, match=r"log\.mat: .*MATLAB"):
-        read(tmp_path / "log.mat", SOME)
-
-
-def test_what_is_no_file_is_refused(tmp_path):
-    (tmp_path / "folder.mat").mkdir()
-    for name in ("folder.mat", "missing.mat"):
-        with pytest.raises(LogError, match="cannot be read"):
-            read(tmp_path / name, SOME)
-
-
-def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch):
-    mat73(tmp_path / "log.mat", SIGNALS)
-    without(monkeypatch, "h5py")
-    with pytest.raises(LogError, match=r"pip install 'hitchid\[hdf5\]'"):
-        read(tmp_path / "log.mat", SOME)
 
 
 REAL = {

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from asammdf import MDF, Signal
 from asammdf.blocks.conversion_utils import from_dict
-from damaged import FOREIGN, assert_same, cut_everywhere, damage_everywhere, table, without
+from damaged import assert_same, cut_everywhere, table
 
 from hitchid.errors import InputError, LogError
 from hitchid.logs.content import ChannelSelection
@@ -80,11 +80,6 @@ def test_each_group_has_its_own_clock(log, version):
     np.testing.assert_array_equal(pressure.clock_s, SLOW)
 
 
-def test_the_time_need_not_be_a_channel(log):
-    content = read(log(("fast", [signal("stroke")])), ChannelSelection("whatever", ("stroke",)))
-    assert list(content.channels) == ["stroke"]
-
-
 def test_groups_without_a_name_of_their_own_go_by_number(log):
     path = log(("same", [signal("x")]), ("same", [signal("x")]), ("other", [signal("y"), signal("y")]))
     content = read(path, ALL)
@@ -93,9 +88,6 @@ def test_groups_without_a_name_of_their_own_go_by_number(log):
         LogError, match="column 'x': several channels have this name; use the full name: 0/x, 1/x"
     ):
         read(path, ChannelSelection("t", ("x",)))
-
-
-def test_the_only_group_needs_no_name(log):
     assert list(read(log((None, [signal("x")])), ALL).channels) == ["x"]
 
 
@@ -106,7 +98,7 @@ def test_what_holds_no_numbers_is_not_listed(log):
     assert list(read(path, ALL).channels) == ["g/x", "g/flag"]
 
 
-def test_the_parts_of_an_array_are_channels_and_the_array_is_none(log):
+def test_parts_of_an_array_are_channels(log):
     rows = np.stack([STROKE, 2 * STROKE, 3 * STROKE], axis=1)
     array = Signal(np.rec.fromarrays([rows], dtype=[("a", "<f8", (3,))]), FAST, name="a")
     channels = read(log(("g", [array])), ALL).channels
@@ -272,28 +264,8 @@ def test_a_recording_that_was_never_finalized_is_read_with_a_notice(tmp_path, ch
     assert "never finalized" in notice
 
 
-def test_a_recording_of_an_older_version_that_was_never_finalized_is_refused(log):
+def test_an_old_recording_never_finalized_is_refused(log):
     path = log(("g", [signal("x")]), version="4.00")
     path.write_bytes(b"UnFinMF " + path.read_bytes()[8:])
     with pytest.raises(LogError, match=r"truncated: .*never finished"):
         read(path, ALL)
-
-
-@pytest.mark.parametrize("version", ["3.30", "4.10"])
-def test_damage_is_refused_or_harmless(log, version):
-    damage_everywhere(log(("g", [signal("x")]), version=version), read)
-
-
-@pytest.mark.parametrize("content", FOREIGN.values(), ids=FOREIGN.keys())
-def test_what_is_no_mdf_file_is_refused(tmp_path, content):
-    (tmp_path / "log.mf4").write_bytes(content)
-    with pytest.raises(LogError, match=r"log\.mf4: .*MDF"):
-        read(tmp_path / "log.mf4", ALL)
-
-
-def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch):
-    without(monkeypatch, "asammdf")
-    with pytest.raises(LogError, match=r"pip install 'hitchid\[mdf\]'"):
-        read(tmp_path / "log.mf4", ALL)
-    with pytest.raises(LogError, match="asammdf is required to write it"):
-        write_table(tmp_path / "log.mf4", table())

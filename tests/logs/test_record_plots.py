@@ -21,7 +21,7 @@ def axes_of(count):
 
 
 @pytest.mark.parametrize("samples", [300, 5000])
-def test_a_record_shows_every_sample_of_displacement_and_commands_over_the_time_of_the_log(samples):
+def test_a_record_shows_every_sample_over_the_time_of_the_log(samples):
     shown = record(samples=samples).slice(20, samples)
     displacement, commands = shown.plot(axes_of(2))
     (line,) = displacement.get_lines()
@@ -44,7 +44,7 @@ def test_a_record_of_one_command_in_other_units_has_one_line(make_record):
     assert (displacement.get_ylabel(), commands.get_ylabel()) == ("displacement / cm", "command /\nmA")
 
 
-def test_a_campaign_shows_each_test_with_its_segments_and_marks_those_held_out():
+def test_a_campaign_shows_segments_and_marks_held_out_tests():
     tests = campaign(3)
     drawn = tests.plot()
     assert len(drawn) == len(tests.records) == 6
@@ -54,8 +54,8 @@ def test_a_campaign_shows_each_test_with_its_segments_and_marks_those_held_out()
         held_out = shown in (*tests.held_out(LIFTING), *tests.held_out(LOWERING))
         assert axes.get_title(loc="left") == shown.name + " (held out)" * held_out
         spans = [(patch.get_label(), patch.get_x()) for patch in axes.patches]
-        found = [(each.label, shown.start_s + shown.step_s * each.start) for each in segments(shown)]
-        assert spans == [(label, pytest.approx(start)) for label, start in found]
+        expected = [(part.label, shown.start_s + shown.step_s * part.start) for part in segments(shown)]
+        assert spans == [(label, pytest.approx(start)) for label, start in expected]
     assert sum("held out" in axes.get_title(loc="left") for axes in drawn) == 2
 
 
@@ -72,7 +72,7 @@ def test_tests_beyond_the_most_are_counted():
     assert not any("more" in title for title in titles[:-1])
 
 
-def test_axes_that_are_given_show_as_many_tests_and_more_axes_stay_empty():
+def test_given_axes_show_as_many_tests():
     few = campaign(2).plot(axes_of(1))
     assert [axes.get_title(loc="left") for axes in few] == ["lifting-0 + 3 more tests"]
     axes = axes_of(5)

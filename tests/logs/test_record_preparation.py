@@ -75,15 +75,15 @@ def test_detrend_names_signal_slope_and_unit():
 
 
 @pytest.mark.parametrize("frequency_hz", [0.5, 2.0, 5.0, 20.0])
-def test_low_pass_has_the_response_of_a_butterworth_filter_run_twice_and_no_phase(frequency_hz):
+def test_low_pass_is_a_butterworth_filter_run_twice_without_phase(frequency_hz):
     cutoff_hz = 2.0
     filtered = record(np.sin(2 * np.pi * frequency_hz * TIME_S), TIME_S).low_pass(cutoff_hz)
     ratio = np.tan(np.pi * frequency_hz * STEP_S) / np.tan(np.pi * cutoff_hz * STEP_S)  # bilinear transform
     expected = 1 / (1 + ratio**4)
     for signal, size in (("displacement", 1.0), ("pressure", 3.0)):
-        found = amplitude(filtered.signals[signal][INSIDE], frequency_hz, TIME_S[INSIDE])
+        measured = amplitude(filtered.signals[signal][INSIDE], frequency_hz, TIME_S[INSIDE])
         # The transient from the ends decays as exp(-π √2 f_c t), t = 10 s: 1e-38.
-        assert found == pytest.approx(size * expected, abs=1e-10)
+        assert measured == pytest.approx(size * expected, abs=1e-10)
     np.testing.assert_array_equal(filtered.command("lifting"), TIME_S)
     assert "for display" in str(filtered.notices[0])
 

@@ -63,7 +63,7 @@ SIGNED = '[signals]\ncommand = "valve_V"\n'
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "words"),
     [
         ('[signal]\ncommand = "valve_V"', ["'signal'", "not known"]),
         (SIGNED + 'displacment = "x_mm"', ["'signals.displacment'", "not known"]),
@@ -87,14 +87,12 @@ SIGNED = '[signals]\ncommand = "valve_V"\n'
         (b"\xff\xfe", ["cannot be read", "0xff"]),
     ],
 )
-def test_what_is_not_understood_is_named_with_file_and_key(tmp_path, text, said):
-    with pytest.raises(SettingsError) as caught:
+def test_what_is_not_understood_is_named_with_file_and_key(tmp_path, text, words):
+    with pytest.raises(SettingsError, match=f"^{tmp_path / 'campaign.toml'}: .*$") as caught:
         parse(tmp_path, text)
     message = str(caught.value)
-    assert message.startswith(f"{tmp_path / 'campaign.toml'}: ")
     assert "\n" not in message
-    for word in said:
-        assert word in message
+    assert all(word in message for word in words)
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path):
@@ -104,19 +102,18 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
         assert str(path) in str(caught.value)
 
 
-@pytest.mark.parametrize("command", ["rpm", "1/min", "Hz", "l/min", "bar", "m3/s", "percent"])
-def test_a_column_may_have_zero_and_scale_and_covariates_may_be_tables(tmp_path, command):
+def test_columns_and_covariates_may_have_zero_and_scale(tmp_path):
     signals = parse(
         tmp_path,
-        f"""
+        """
         [signals]
-        command = {{ column = "Boom Cmd", unit = "{command}", zero = 7.4745, scale = -1 }}
-        covariates = ["oil", {{ column = "T", unit = "degC", zero = 273.15, scale = 1 }}]
+        command = { column = "Boom Cmd", unit = "l/min", zero = 7.4745, scale = -1 }
+        covariates = ["oil", { column = "T", unit = "degC", zero = 273.15, scale = 1 }]
         """,
     ).signals
-    assert signals.command == Column(column="Boom Cmd", unit=command, zero=7.4745, scale=-1.0)
-    assert [each.column for each in signals.covariates] == ["oil", "T"]
-    assert signals.covariates[1].unit == "degC"
+    assert signals.command == Column(column="Boom Cmd", unit="l/min", zero=7.4745, scale=-1.0)
+    assert [(column.column, column.unit) for column in signals.covariates][1:] == [("T", "degC")]
+    assert signals.covariates[0].column == "oil"
 
 
 @pytest.mark.parametrize("given", ["scale = 0", "scale = nan", "scale = inf", "zero = nan", 'zero = "x"'])

@@ -65,13 +65,10 @@ def test_stamps_over_midnight_are_seconds_since_the_first(log, pattern, separato
     np.testing.assert_allclose(seconds(log(quoted, separator)), expected, rtol=0, atol=1e-12)
 
 
-def test_a_change_of_the_clock_to_summer_time_is_no_gap(log):
+def test_summer_time_is_no_gap_and_a_missing_stamp_no_number(log):
     stamps = [f"2026-03-29T01:59:59.{k}00+01:00" for k in range(10)]
     stamps += [f"2026-03-29T03:00:00.{k}00+02:00" for k in range(10)]
     np.testing.assert_allclose(seconds(log(stamps)), 0.1 * np.arange(20), rtol=0, atol=1e-12)
-
-
-def test_a_missing_stamp_is_no_number_and_others_keep_their_place(log):
     stamps = [f"12:00:0{k}.5" for k in range(9)]
     stamps[4] = "---"
     np.testing.assert_array_equal(seconds(log(stamps)), [0, 1, 2, 3, np.nan, 5, 6, 7, 8])

@@ -92,7 +92,7 @@ def test_five_percent_is_of_the_campaigns_command_not_the_records():
     assert detect_kind(record, full_scales([record, held((50, 0, -1))])) == "idle"
 
 
-def test_full_scale_is_the_largest_command_of_a_unit_whichever_valve_it_drives():
+def test_full_scale_is_the_largest_command_of_either_valve():
     weak, strong = held((5, 0.2, 0.01)), held((5, 0.3, -2.0))
     assert full_scales([weak, strong]) == {"lifting": 2.0, "lowering": 2.0}
     percent = replace(strong, units={**strong.units, "lifting_command": "percent"})
@@ -113,28 +113,29 @@ def test_where_both_commands_are_effective_lowering_counts():
 @given(duty_cycles)
 def test_mode_changes_cover_every_sample_once_and_alternate(pieces):
     record = held(*pieces)
-    found = split_by_direction(record, ZONES)
-    assert [found[0].start, *(stroke.stop for stroke in found)] == [
-        *(stroke.start for stroke in found),
+    stretches = split_by_direction(record, ZONES)
+    assert [stretches[0].start, *(stroke.stop for stroke in stretches)] == [
+        *(stroke.start for stroke in stretches),
         len(record),
     ]
-    assert found[0].start == 0
-    assert all(stroke.stop > stroke.start for stroke in found)
-    assert all(one.direction != two.direction for one, two in pairwise(found))
+    assert stretches[0].start == 0
+    assert all(stroke.stop > stroke.start for stroke in stretches)
+    assert all(one.direction != two.direction for one, two in pairwise(stretches))
 
 
+@pytest.mark.parametrize("divide", [split_by_direction, strokes])
 @given(duty_cycles)
-def test_during_a_stretch_no_other_mode_has_an_effect(pieces):
+def test_during_a_stretch_no_other_mode_has_an_effect(divide, pieces):
     record = held(*pieces)
     direction = direction_signs(record, ZONES)
-    for stroke in split_by_direction(record, ZONES):
+    for stroke in divide(record, ZONES):
         assert set(direction[stroke.start : stroke.stop]) <= {0, 1 if stroke.direction == "lifting" else -1}
 
 
-def test_a_hold_belongs_to_the_stroke_before_it_and_the_first_hold_to_the_first_stroke():
+def test_a_hold_belongs_to_the_stroke_before_it():
     record = held((10, 0, 0), (20, 0, 1), (30, 0, 0), (40, 1, 0), (50, 0, 0))
-    found = [(s.direction, s.start, s.stop) for s in split_by_direction(record, ZONES)]
-    assert found == [("lowering", 0, 60), ("lifting", 60, 150)]
+    stretches = [(s.direction, s.start, s.stop) for s in split_by_direction(record, ZONES)]
+    assert stretches == [("lowering", 0, 60), ("lifting", 60, 150)]
 
 
 def test_a_record_at_rest_is_one_stretch_and_no_stroke():
@@ -144,7 +145,7 @@ def test_a_record_at_rest_is_one_stretch_and_no_stroke():
 
 
 @given(duty_cycles)
-def test_strokes_are_in_order_do_not_overlap_and_last_half_a_second(pieces):
+def test_strokes_are_ordered_and_last_half_a_second(pieces):
     record = held(*pieces)
     edges = [edge for stroke in strokes(record, ZONES) for edge in (stroke.start, stroke.stop)]
     assert edges == sorted(edges)
@@ -153,39 +154,33 @@ def test_strokes_are_in_order_do_not_overlap_and_last_half_a_second(pieces):
         assert (stroke.stop - stroke.start) * STEP_S >= SHORTEST_STROKE_S - 1e-12
 
 
-@given(duty_cycles)
-def test_during_a_stroke_no_other_mode_has_an_effect(pieces):
-    record = held(*pieces)
-    direction = direction_signs(record, ZONES)
-    for stroke in strokes(record, ZONES):
-        assert set(direction[stroke.start : stroke.stop]) <= {0, 1 if stroke.direction == "lifting" else -1}
+BRIEF, PAUSE = round(SHORTEST_STROKE_S / STEP_S) // 2, round(REST_S / STEP_S) - 1
+LEAD = round(LEAD_IN_S / STEP_S)
+CUTS = {
+    "a brief stroke is left out": (
+        held((100, 1, 0), (BRIEF, 0, 1), (100, 1, 0)),
+        [("lifting", 0, 100), ("lifting", 100 + BRIEF, 200 + BRIEF)],
+    ),
+    "no rest between directions": (
+        held((100, 1, 0), (100, 0, 1)),
+        [("lifting", 0, 100), ("lowering", 100, 200)],
+    ),
+    "a lead before the command after a rest": (
+        held((100, 0, 0), (100, 1, 0), (80, 0, 0), (100, 0, 1)),
+        [("lifting", 100 - LEAD, 280 - LEAD), ("lowering", 280 - LEAD, 380)],
+    ),
+    "a pause shorter than a rest cuts nothing": (
+        held((20, 0, 0), (100, 1, 0), (PAUSE, 0, 0), (100, 1, 0)),
+        [("lifting", 10, 220 + PAUSE)],
+    ),
+}
 
 
-def test_a_stroke_shorter_than_half_a_second_is_left_out():
-    brief = round(SHORTEST_STROKE_S / STEP_S) // 2
-    record = held((100, 1, 0), (brief, 0, 1), (100, 1, 0))
-    assert [stroke.direction for stroke in strokes(record, ZONES)] == ["lifting", "lifting"]
+@pytest.mark.parametrize(("record", "expected"), CUTS.values(), ids=CUTS.keys())
+def test_strokes_begin_and_end_where_their_commands_do(record, expected):
+    assert [(s.direction, s.start, s.stop) for s in strokes(record, ZONES)] == expected
 
 
-def test_on_a_slow_clock_a_stroke_of_fewer_samples_than_determine_two_speeds_is_left_out():
+def test_on_a_slow_clock_a_stroke_of_few_samples_is_left_out():
     record = replace(held((20, 1, 0), (SHORTEST_STROKE_SAMPLES - 1, 0, 1), (20, 1, 0)), step_s=2.0)
     assert [stroke.direction for stroke in strokes(record, ZONES)] == ["lifting", "lifting"]
-
-
-def test_where_the_mode_changes_without_a_rest_the_stroke_begins_at_the_change():
-    record = held((100, 1, 0), (100, 0, 1))
-    found = [(s.direction, s.start, s.stop) for s in strokes(record, ZONES)]
-    assert found == [("lifting", 0, 100), ("lowering", 100, 200)]
-
-
-def test_a_stroke_starts_its_lead_before_the_command_after_a_rest():
-    record = held((100, 0, 0), (100, 1, 0), (80, 0, 0), (100, 0, 1))
-    lead = round(LEAD_IN_S / STEP_S)
-    found = [(s.direction, s.start, s.stop) for s in strokes(record, ZONES)]
-    assert found == [("lifting", 100 - lead, 280 - lead), ("lowering", 280 - lead, 380)]
-
-
-def test_a_pause_shorter_than_a_rest_does_not_cut_a_stroke():
-    pause = round(REST_S / STEP_S) - 1
-    record = held((20, 0, 0), (100, 1, 0), (pause, 0, 0), (100, 1, 0))
-    assert [(s.direction, s.start, s.stop) for s in strokes(record, ZONES)] == [("lifting", 10, 220 + pause)]

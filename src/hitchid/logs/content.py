@@ -66,11 +66,8 @@ def match_channels(
         )
         is_required = requested != selection.time or not has_clocks
         if len(candidates) > 1 and is_required:
-            raise LogError(
-                source,
-                f"several channels have this name; use the full name: {format_names(candidates)}",
-                column=requested,
-            )
+            problem = f"several channels have this name; use the full name: {format_names(candidates)}"
+            raise LogError(source, problem, column=requested)
         if len(candidates) == 1:
             matches[requested] = candidates[0]
         elif is_required:

@@ -22,15 +22,8 @@ if TYPE_CHECKING:
 
 TIME = "time"
 # Beginning of a column's name, before its unit, to its signal, where no signal map is given.
-STEMS = {
-    TIME: TIME,
-    DISPLACEMENT: DISPLACEMENT,
-    "command": "command",
-    COMMAND[LIFTING]: COMMAND[LIFTING],
-    COMMAND[LOWERING]: COMMAND[LOWERING],
-    "current_up": COMMAND[LIFTING],
-    "current_down": COMMAND[LOWERING],
-}
+STEMS = {role: role for role in (TIME, DISPLACEMENT, "command", *COMMAND.values())}
+STEMS |= {"current_up": COMMAND[LIFTING], "current_down": COMMAND[LOWERING]}
 
 
 @runtime_checkable
@@ -73,7 +66,17 @@ def read_frames(
     strict: bool,
 ) -> tuple[list[Record], list[LeftOut]]:
     """Return the records of tables, and the tables that cannot be used; see `Campaign.from_dataframes`."""
-    named, checked_units = _named(frames), _checked_units(units)
+    # Iterated over, a table gives the names of its columns, each of which would be taken for a log.
+    if isinstance(frames, Frame):
+        raise checks.input_error("frames", "a list of tables, or name to table", frames)
+    if not isinstance(frames, Mapping):
+        tables = checks.tuple_of(frames, object, "frames", "tables, or name to table")
+        frames = {f"test-{number}": table for number, table in enumerate(tables, start=1)}
+    named = {
+        checks.instance(name, str, "frames: name", "text"): _checked_frame(frame, f"frames: '{name}'")
+        for name, frame in frames.items()
+    }
+    checked_units = _checked_units(units)
     records_by_frame, left_out = split_usable(
         ((name, (name, frame)) for name, frame in named.items()),
         lambda item: _read_frame(*item, signals, checked_units),
@@ -105,19 +108,6 @@ def to_dataframe(record: Record) -> "pandas.DataFrame":
     return pandas.DataFrame(columns)
 
 
-def _named(frames: object) -> dict[str, Frame]:
-    """Return name to table."""
-    if isinstance(frames, Frame):
-        raise checks.input_error("frames", "a list of tables, or name to table", frames)
-    if not isinstance(frames, Mapping):
-        tables = checks.tuple_of(frames, object, "frames", "tables, or name to table")
-        frames = {f"test-{number}": table for number, table in enumerate(tables, start=1)}
-    return {
-        checks.instance(name, str, "frames: name", "text"): _checked_frame(frame, f"frames: '{name}'")
-        for name, frame in frames.items()
-    }
-
-
 def _checked_frame(frame: object, where: str) -> Frame:
     if not isinstance(frame, Frame):
         raise checks.input_error(where, "a table of pandas or polars", frame)
@@ -133,44 +123,11 @@ def _checked_units(units: Mapping[str, str] | None) -> dict[str, str]:
 
 
 def _read_frame(
-    name: str, frame: Frame, signals: Mapping[str, object] | None, units: Mapping[str, str]
+    name: str, frame: Frame, given: Mapping[str, object] | None, units: Mapping[str, str]
 ) -> list[Record]:
     """Return a record for each stretch of a table without a gap."""
     columns = [column for column in frame.columns if isinstance(column, str)]
-    signal_map = _map_by_name(name, columns) if signals is None else signal_map_of(signals)
-    content = _content(name, frame, columns, signal_map, units)
-    return records_of(name, table_of(content, signal_map), signal_map)
-
-
-def _map_by_name(name: str, columns: Iterable[str]) -> SignalMap:
-    """Return the signal map of columns that are named after their signal and unit."""
-    column_of: dict[str, str] = {}
-    for column in columns:
-        unit = unit_of_column(column)
-        signal = STEMS.get(column if unit is None else column.rpartition("_")[0])
-        if signal in column_of:
-            raise LogError(
-                name,
-                (
-                    f"the columns '{column_of[signal]}' and '{column}' both match {signal}; expected "
-                    "`signals` to name one of them"
-                ),
-            )
-        if signal is not None:
-            column_of[signal] = column
-    if not column_of.keys() & {"command", *COMMAND.values()}:
-        problem = (
-            "no column is named as a command; expected current_up_A and current_down_A, or `signals`, "
-            f"a dict as [signals] in campaign.toml; found {', '.join(columns) or 'no columns'}"
-        )
-        raise LogError(name, problem)
-    return signal_map_of(column_of)
-
-
-def _content(
-    name: str, frame: Frame, columns: list[str], signals: SignalMap, units: Mapping[str, str]
-) -> Content:
-    """Return the columns of a table that the signal map names."""
+    signals = _map_by_name(name, columns) if given is None else signal_map_of(given)
     for column in units:
         if column not in columns and column != getattr(getattr(frame, "index", None), "name", None):
             problem = f"`units` names it, but there is no such column; found {', '.join(columns)}"
@@ -183,16 +140,34 @@ def _content(
                 f"in `signals`; found {', '.join(columns)}"
             )
             raise LogError(name, problem, column=column)
-        values, unit = _numbers(frame[column], name, column)
-        channels[column] = LogChannel(values, unit or units.get(column))
-    return Content(name, channels)
+        channels[column] = _column(frame[column], name, column, units.get(column))
+    return records_of(name, table_of(Content(name, channels), signals), signals)
+
+
+def _map_by_name(name: str, columns: Iterable[str]) -> SignalMap:
+    """Return the signal map of columns that are named after their signal and unit."""
+    column_of: dict[str, str] = {}
+    for column in columns:
+        unit = unit_of_column(column)
+        signal = STEMS.get(column if unit is None else column.rpartition("_")[0])
+        if signal in column_of:
+            both = f"the columns '{column_of[signal]}' and '{column}' both match {signal}"
+            raise LogError(name, f"{both}; expected `signals` to name one of them")
+        if signal is not None:
+            column_of[signal] = column
+    if not column_of.keys() & {"command", *COMMAND.values()}:
+        problem = (
+            "no column is named as a command; expected current_up_A and current_down_A, or `signals`, "
+            f"a dict as [signals] in campaign.toml; found {', '.join(columns) or 'no columns'}"
+        )
+        raise LogError(name, problem)
+    return signal_map_of(column_of)
 
 
 def _time(name: str, frame: Frame, columns: list[str], time: Column, units: Mapping[str, str]) -> LogChannel:
     """Return the time: its column, else the index of a table of pandas."""
     if time.column in columns:
-        values, unit = _numbers(frame[time.column], name, time.column)
-        return LogChannel(values, unit or units.get(time.column))
+        return _column(frame[time.column], name, time.column, units.get(time.column))
     index = getattr(frame, "index", None)
     is_default = time == DEFAULT_SIGNALS.time
     if index is not None and (is_default or index.name == time.column):
@@ -200,8 +175,7 @@ def _time(name: str, frame: Frame, columns: list[str], time: Column, units: Mapp
         # Whole numbers are most often those of the rows, unless the name of the index is one of a time.
         is_time = index.name == time.column or (unit_of_column(label) or units.get(label)) is not None
         if is_time or np.asarray(index.to_numpy()).dtype.kind not in "iu":
-            values, unit = _numbers(index, name, label)
-            return LogChannel(values, unit or units.get(label) or unit_of_column(label))
+            return _column(index, name, label, units.get(label) or unit_of_column(label))
     problem = (
         "there is no such column, and the index is not a time; expected this column, a "
         "time index, or the name of the time column in `signals`; found "
@@ -210,8 +184,8 @@ def _time(name: str, frame: Frame, columns: list[str], time: Column, units: Mapp
     raise LogError(name, problem, column=time.column)
 
 
-def _numbers(column: Any, name: str, label: str) -> tuple[np.ndarray, str | None]:
-    """Return a column as doubles, and the unit s for dates, as seconds since the first, and for durations."""
+def _column(column: Any, name: str, label: str, unit: str | None) -> LogChannel:
+    """Return a column as doubles in its unit: dates as seconds since the first, durations as seconds."""
     values = np.asarray(column.to_numpy())
     if values.ndim != 1:
         raise LogError(name, "several columns have this name", column=label)
@@ -220,16 +194,15 @@ def _numbers(column: Any, name: str, label: str) -> tuple[np.ndarray, str | None
     if values.dtype.kind in "Mm":
         valid = np.flatnonzero(~np.isnat(values))
         zero = values[valid[0]] if values.dtype.kind == "M" and valid.size else np.timedelta64(0, "ns")
-        return (values - zero) / np.timedelta64(1, "s"), "s"
+        return LogChannel((values - zero) / np.timedelta64(1, "s"), "s")
     if values.dtype.kind == "O" and values.size and all(isinstance(item, datetime) for item in values):
         try:
             seconds = [(item - values[0]).total_seconds() for item in values]
         except TypeError as error:
             raise LogError(name, "some dates have a time zone, others have none", column=label) from error
-        return np.array(seconds), "s"  # dates with a time zone
+        return LogChannel(np.array(seconds), "s")  # dates with a time zone
     try:
-        return np.array(values, dtype=np.float64), None
+        return LogChannel(np.array(values, dtype=np.float64), unit)
     except (TypeError, ValueError) as error:
-        raise LogError(
-            name, f"expected numbers, got {values.dtype} such as {values[0]!r}", column=label
-        ) from error
+        problem = f"expected numbers, got {values.dtype} such as {values[0]!r}"
+        raise LogError(name, problem, column=label) from error

@@ -48,6 +48,7 @@ def _from_rest(record: Record) -> Record:
     starts = [stroke.start for stroke in strokes(record, {})]
     if AFTER_GAP not in codes or FROM_REST in codes or not starts:
         return record
+    # A stroke so near to the gap had no rest before it that anybody saw.
     if starts[0] < round((REST_S - LEAD_IN_S) / record.step_s):
         starts = starts[1:]
     if not starts:

@@ -28,14 +28,10 @@ class Stroke:
 
 
 def effective_command(command: np.ndarray, dead_zone: float | np.ndarray) -> np.ndarray:
-    """Return the effective command, the part beyond the dead zone.
+    """Return the effective command, the part of c, shape [N], beyond the dead zone d ≥ 0 in the same unit.
 
     u = sign(c)·max(|c| − d, 0); for the one-signed current of a valve this is max(c − d, 0) of Sun et al.
     2025, sec. 2.2.1.
-
-    Args:
-        command: command, shape [N], in its own unit.
-        dead_zone: dead zone d ≥ 0, same unit.
     """
     return np.sign(command) * np.maximum(np.abs(command) - dead_zone, 0.0)
 
@@ -207,6 +203,8 @@ def segments(
         direction: _active_samples(record, direction, scale_of[direction], thresholds.get(direction))
         for direction in record.directions
     }
+    # Each later label covers those before it: a standstill says more than a command at its largest, and with
+    # both valves on nothing is known of either.
     label = np.full(len(record), LABELS.index(HOLD))
     for direction, active_samples in active.items():
         label[active_samples] = LABELS.index(direction)

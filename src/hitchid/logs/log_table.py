@@ -91,6 +91,8 @@ def table_of(content: Content, signals: SignalMap) -> LogTable:
         if spread is not None:
             time = time._replace(values=spread[0])
             notices.append(spread[1])
+    # After the units, so that notices state readings in them; before the clocks, which must not interpolate
+    # towards an error code.
     given_time = time
     time, channels, not_measured = without_unmeasured(source, time, channels, names, line_of)
     stamps = None if given_time is None or time is not None else given_time.values
@@ -177,19 +179,17 @@ def _convert_unit(content: Content, role: str, column: Column) -> tuple[LogChann
     file_unit = parse_unit(channel.unit or "")
     declared_unit = column.unit or file_unit or unit_of_column(name) or (None if role in DIMENSIONS else "1")
     if declared_unit is None:
-        raise LogError(
-            source,
+        problem = (
             "no unit in its name or in the log; "
-            f'give one in {content.map_place}: {{ column = "{name}", unit = "…" }}',
-            column=name,
+            f'give one in {content.map_place}: {{ column = "{name}", unit = "…" }}'
         )
+        raise LogError(source, problem, column=name)
     dimension, dimensions = UNITS[declared_unit].dimension, DIMENSIONS.get(role)
     if dimensions and dimension not in dimensions:
-        raise LogError(
-            source,
-            f"'{declared_unit}' is a unit of {dimension}, expected one of {', '.join(dimensions)} for {role}",
-            column=name,
+        problem = (
+            f"'{declared_unit}' is a unit of {dimension}, expected one of {', '.join(dimensions)} for {role}"
         )
+        raise LogError(source, problem, column=name)
     unit = "s" if role == TIME else declared_unit
     if column.scale is not None:
         # The scale replaces the unit of the file.
@@ -229,12 +229,11 @@ def _check_file_unit(source: Path | str, name: str, declared_unit: str, file_uni
         )
         raise LogError(source, problem, column=name)
     if UNITS[file_unit].dimension != dimension:
-        raise LogError(
-            source,
+        problem = (
             f"the unit is '{file_unit}' in the log but '{declared_unit}' in the signal map; "
-            "expected units of the same quantity",
-            column=name,
+            "expected units of the same quantity"
         )
+        raise LogError(source, problem, column=name)
 
 
 def resample_to_common_clock(
@@ -377,11 +376,7 @@ def _common_instants(
 
 
 def records_of(name: str, table: LogTable, signals: SignalMap) -> list[Record]:
-    """Return a record for each stretch of a log without a gap, `name` or `name@1`, `name@2`, ….
-
-    Raises:
-        LogError: the clock cannot be used, or no stretch is long enough.
-    """
+    """Return a record for each stretch of a log without a gap, `name` or `name@1`, `name@2`, …."""
     source, time_s, samples = table.source, table.time_s, table.signals
     rows = unique_stamp_rows(time_s, source, column=signals.time.column, line_of=table.line_of)
     repeated = time_s.size - rows.size
@@ -391,6 +386,7 @@ def records_of(name: str, table: LogTable, signals: SignalMap) -> list[Record]:
             for role, values in samples.items()
         }
         time_s = time_s[rows]
+    # Whether a gap may be bridged depends on what commands and piston do about it.
     commands = {role: values for role, values in samples.items() if role in COMMAND.values()}
     all_sections = sections(time_s, commands, samples[DISPLACEMENT])
     usable = [section for section in all_sections if section.stop - section.start >= MIN_SAMPLES]
@@ -424,5 +420,6 @@ def records_of(name: str, table: LogTable, signals: SignalMap) -> list[Record]:
             f"{left_out} of {time_s.size} samples are left out: parts shorter than {MIN_SAMPLES} samples"
         )
         notices.append(Notice("samples-left-out", sentence))
+    # What concerns the whole log is said once.
     records[0] = replace(records[0], notices=(*records[0].notices, *notices))
     return records

@@ -137,6 +137,7 @@ def propose(logs: str | Path | Iterable[str | Path]) -> str:
         InputError: there are no logs, none can be read, or no two columns correlate.
     """
     paths = find_logs(logs)
+    # Spread over all, since neighbours by name are often of one direction.
     paths = [paths[index] for index in np.unique(np.linspace(0, len(paths) - 1, MAX_LOGS).astype(int))]
     settings = settings_of(paths)
     with ReaderProcess() as process:

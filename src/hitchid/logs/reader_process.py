@@ -58,17 +58,12 @@ class ReaderProcess(AbstractContextManager["ReaderProcess"]):
             return _request_content(self._child, path, json.dumps(request).encode() + b"\n", limit_s)
         except LogError:  # a response like any other: the process goes on
             raise
-        except TimeoutError:
+        except (TimeoutError, EOFError, BrokenPipeError) as error:
             self._end()
-            raise LogError(
-                path, f"cannot be read within {limit_s:.0f} s; check whether the file is damaged"
-            ) from None
-        except (EOFError, BrokenPipeError):
-            self._end()
-            raise LogError(
-                path, "cannot be read: its reader crashed; check whether the file is damaged"
-            ) from None
-        except BaseException:
+            is_late = isinstance(error, TimeoutError)
+            reason = f" within {limit_s:.0f} s" if is_late else ": its reader crashed"
+            raise LogError(path, f"cannot be read{reason}; check whether the file is damaged") from None
+        except BaseException:  # an interrupt: what is left of the response must not answer the next request
             self._end()
             raise
 
@@ -94,6 +89,7 @@ def _request_content(child: "subprocess.Popen[bytes]", path: Path, request: byte
     stdin, stdout = child.stdin, child.stdout
     assert stdin is not None  # noqa: S101 - both are pipes
     assert stdout is not None  # noqa: S101
+    # Two limits: to load a library takes longer than to read most logs with it.
     with _time_limit(child, LONGEST_START_S):
         stdin.write(request)
         stdin.flush()

@@ -195,6 +195,7 @@ def assemble(
         InputError, LogError: as `Campaign.of`.
     """
     distinct_records = _with_distinct_names(records)
+    # A pattern counts in its own folder alone: from here on it stands for the tests that it matched there.
     held_out, kinds, matched = [], {}, set()
     for record, distinct_record in zip(records, distinct_records, strict=True):
         folder_settings = settings[record.source.parent] if record.source is not None else CampaignFile()

@@ -345,6 +345,7 @@ class Record(Value, Summarised):
 
 def _read_only(samples: np.ndarray, name: str) -> np.ndarray:
     """Return read-only samples: without a copy if they are read-only already."""
+    # A slice of a record is a view: its base cannot be written through anything else either.
     base = samples if getattr(samples, "base", None) is None else samples.base
     if isinstance(base, np.ndarray) and samples.dtype == np.float64 and not base.flags.writeable:
         return samples

@@ -67,8 +67,7 @@ class LogSection:
 def unique_stamp_rows(time_s: np.ndarray, source: object, *, column: str, line_of: LineOf) -> np.ndarray:
     """Return the rows whose time, s, differs from that of the row before, indices of shape [M].
 
-    Raises:
-        LogError: time is not finite, decreases, is constant, or has steps below 1 ns or infinite ones.
+    Time that is not finite, decreases, is constant, or has steps below 1 ns or infinite ones, is refused.
     """
     bad = np.flatnonzero(~np.isfinite(time_s))
     if bad.size:
@@ -78,12 +77,8 @@ def unique_stamp_rows(time_s: np.ndarray, source: object, *, column: str, line_o
     backward = np.flatnonzero(intervals < 0)
     if backward.size:
         row = int(backward[0]) + 1
-        raise LogError(
-            source,
-            f"time must not decrease; {time_s[row]:g} s follows {time_s[row - 1]:g} s",
-            line=line_of(row),
-            column=column,
-        )
+        problem = f"time must not decrease; {time_s[row]:g} s follows {time_s[row - 1]:g} s"
+        raise LogError(source, problem, line=line_of(row), column=column)
     if intervals.size and not np.any(intervals):
         problem = f"all {time_s.size} time stamps are {time_s[0]:g} s; expected increasing time stamps"
         raise LogError(source, problem, line=line_of(1), column=column)
@@ -127,15 +122,11 @@ def spread_stamps(time_s: np.ndarray, position: np.ndarray) -> tuple[np.ndarray,
 def one_sample_a_stamp(
     values: np.ndarray, time_s: np.ndarray, rows: np.ndarray, *, is_held: bool
 ) -> np.ndarray:
-    """Return one sample for each time stamp, shape [M].
+    """Return one sample for each time stamp, shape [M]; `rows` are those of `unique_stamp_rows`.
 
     Loggers that write an event of its own write two rows with one stamp: before and after a command changes.
-
-    Args:
-        values, time_s: samples and their time stamps, s, which do not decrease, shape [N].
-        rows: first row of each stamp, as `unique_stamp_rows` returns them, shape [M].
-        is_held: for a command, which is in force from its last row on; a measured signal takes the row
-            nearest to the line through the stamps before and after.
+    A command, which is held, is in force from its last row on; a measured signal takes the row nearest to the
+    line through the stamps before and after.
     """
     last_rows = np.append(rows[1:], time_s.size) - 1
     if is_held or rows.size < 2:
@@ -171,12 +162,12 @@ def sections(
     gaps = np.flatnonzero(intervals > max(short, GAP_FACTOR * median))
     bridging = _GapBridging(time_s, commands, position)
     cuts = [int(gap) + 1 for gap in gaps if intervals[gap] > longest or not bridging.can_bridge(int(gap))]
-    log_sections = []
-    for start, stop in pairwise([0, *cuts, time_s.size]):
-        if stop - start < 2:
-            continue
-        log_sections.append(_section(time_s, start, stop, median))
-    return log_sections
+    # A sample alone between two gaps has no speed, and is left out.
+    return [
+        _section(time_s, start, stop, median)
+        for start, stop in pairwise([0, *cuts, time_s.size])
+        if stop - start > 1
+    ]
 
 
 class _GapBridging:
@@ -229,7 +220,17 @@ def _section(time_s: np.ndarray, start: int, stop: int, median: float) -> LogSec
         return LogSection(start, stop, step, resampled=False, notices=notices)
     # For irregular stamps a step of two digits is accurate enough, and equal for similar logs.
     step = step if deviation <= GRID_TOLERANCE else float(f"{median:.2g}")
-    clock = _quality(stamps, step, median)
+    longest = float(np.max(intervals))
+    instants = uniform(stamps, step)
+    next_stamp = np.clip(np.searchsorted(stamps, instants), 1, stamps.size - 1)
+    distance = np.minimum(np.abs(instants - stamps[next_stamp]), np.abs(instants - stamps[next_stamp - 1]))
+    # A lost sample makes a gap, not jitter: it is told apart.
+    regular_intervals = intervals[intervals <= GAP_FACTOR * median]
+    clock = ClockQuality(
+        jitter=float(np.max(np.abs(regular_intervals - step), initial=0.0)) / step,
+        longest_gap_s=longest if longest > GAP_FACTOR * median else 0.0,
+        interpolated_share=float(np.mean(distance > GRID_TOLERANCE * step)),
+    )
     gap_text = f", the longest gap is {clock.longest_gap_s:.3g} s" if clock.longest_gap_s else ""
     sentence = (
         f"resampled: the clock jitters by {clock.jitter:.1%} of {step:.4g} s"
@@ -237,17 +238,3 @@ def _section(time_s: np.ndarray, start: int, stop: int, median: float) -> LogSec
     )
     notices = (*notices, Notice("clock-resampled", sentence))
     return LogSection(start, stop, step, resampled=True, notices=notices, clock=clock)
-
-
-def _quality(stamps: np.ndarray, step: float, median: float) -> ClockQuality:
-    intervals = np.diff(stamps)
-    regular_intervals = intervals[intervals <= GAP_FACTOR * median]
-    longest = float(np.max(intervals))
-    instants = uniform(stamps, step)
-    next_stamp = np.clip(np.searchsorted(stamps, instants), 1, stamps.size - 1)
-    distance = np.minimum(np.abs(instants - stamps[next_stamp]), np.abs(instants - stamps[next_stamp - 1]))
-    return ClockQuality(
-        jitter=float(np.max(np.abs(regular_intervals - step), initial=0.0)) / step,
-        longest_gap_s=longest if longest > GAP_FACTOR * median else 0.0,
-        interpolated_share=float(np.mean(distance > GRID_TOLERANCE * step)),
-    )

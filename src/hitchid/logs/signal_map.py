@@ -317,11 +317,7 @@ Settings = TypeVar("Settings", bound=Strict)
 
 
 def parse_settings(path: Path, model: type[Settings]) -> Settings:
-    """Read a TOML file into settings; errors name file and key.
-
-    Raises:
-        SettingsError: as `read_campaign_file`.
-    """
+    """Read a TOML file into settings; errors name file and key."""
     try:
         with path.open(encoding="utf-8-sig") as stream:
             text = stream.read(MAX_LENGTH + 1)
@@ -337,11 +333,7 @@ def parse_settings(path: Path, model: type[Settings]) -> Settings:
 
 
 def parse_toml(text: str, source: object) -> dict[str, object]:
-    """Parse TOML.
-
-    Raises:
-        SettingsError: the text is not TOML, or too long for settings.
-    """
+    """Parse TOML; text that is none, or too long for settings, is a `SettingsError`."""
     # Time and memory of tomllib grow with the square of the number of parts of a dotted key.
     if len(text) > MAX_LENGTH or any(
         fragment.count(".") > MAX_DOTS for fragment in re.split(r"[\n=,]", text)

@@ -114,19 +114,30 @@ def unified(
         return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
 
     ordered = sorted(records, key=natural_order)
+    # The commands and units of most records: the first one may be the odd one out.
     counts = Counter(map(_dimensions, ordered))
     reference = max(ordered, key=lambda record: counts[_dimensions(record)])
     usable, mismatched = split(ordered, lambda record: _to_reference_units(record, reference))
     # The lower median of the sampling times, which is one of them.
     step_s = float(f"{median_low(record.step_s for record in usable):.4g}")
     on_clock, off_clock = split(usable, lambda record: _to_common_clock(record, step_s))
+    # Kinds come last: 5 % of full scale is a share of the largest command of all that is left.
     scales = full_scales(on_clock)
     classified = [replace(record, kind=_kind(record, scales, kinds)) for record in on_clock]
     moving, stationary = split(classified, _require_motion)
     excluded = [*mismatched, *off_clock, *stationary]
     if not moving:
         refuse(excluded, "tests")
-    _check_directions(moving, excluded, ordered)
+    # A direction without any test left would be missing in the model, silently.
+    causes = {item.name: item for item in excluded}
+    for direction in DIRECTIONS:
+        unusable = [
+            causes[record.name]
+            for record in ordered
+            if record.name in causes and detect_kind(record, full_scales([record])) == direction
+        ]
+        if unusable and not any(record.kind in (direction, CYCLE) for record in moving):
+            refuse(unusable, f"{direction} tests")
     return moving, excluded
 
 
@@ -151,40 +162,23 @@ def _to_reference_units(record: Record, reference: Record) -> Record:
 def _require_motion(record: Record) -> Record:
     """Return a record unless its displacement is constant although it is commanded to move."""
     if record.kind != IDLE and np.ptp(record.displacement) == 0:
-        raise LogError(
-            record.source or record.name,
-            f"the displacement is constant ({record.displacement[0]:g} {record.unit}) over all "
-            f"{len(record)} samples although the command changes; "
-            "check whether the sensor is connected",
+        problem = (
+            f"the displacement is constant ({record.displacement[0]:g} {record.unit}) over all {len(record)} "
+            "samples although the command changes; check whether the sensor is connected"
         )
+        raise LogError(record.source or record.name, problem)
     return record
-
-
-def _check_directions(records: Sequence[Record], left_out: Sequence[LeftOut], all_: Sequence[Record]) -> None:
-    """Refuse a campaign in which all tests of one direction are left out."""
-    causes = {item.name: item for item in left_out}
-    for direction in DIRECTIONS:
-        excluded = [
-            causes[record.name]
-            for record in all_
-            if record.name in causes and detect_kind(record, full_scales([record])) == direction
-        ]
-        if excluded and not any(record.kind in (direction, CYCLE) for record in records):
-            refuse(excluded, f"{direction} tests")
 
 
 def _to_common_clock(record: Record, step_s: float) -> Record:
     """Return a record at the common sampling time: resampled, unless the drift is below 5 % of it."""
     drift = abs(record.step_s - step_s) * len(record)
     if not 1 / MAX_RATE_RATIO <= record.step_s / step_s <= MAX_RATE_RATIO:
-        raise LogError(
-            record.source or record.name,
-            (
-                f"has a sampling time of {record.step_s:.4g} s, the median of the logs is "
-                f"{step_s:.4g} s; expected at most {MAX_RATE_RATIO} times longer or shorter "
-                "than the median"
-            ),
+        problem = (
+            f"has a sampling time of {record.step_s:.4g} s, the median of the logs is {step_s:.4g} s; "
+            f"expected at most {MAX_RATE_RATIO} times longer or shorter than the median"
         )
+        raise LogError(record.source or record.name, problem)
     return replace(record, step_s=step_s) if drift <= 0.05 * step_s else record.resample(step_s)
 
 

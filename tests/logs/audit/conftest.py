@@ -37,8 +37,10 @@ def make_test():
         travel = driven(command, **plant)
         displacement = 10 + travel if mode == "lifting" else 150 - travel
         displacement = displacement + noise * rng.standard_normal(command.size)
-        signals = {COMMAND[each]: command if each == mode else 0 * command for each in DIRECTIONS}
-        units = {"displacement": "mm"} | {COMMAND[each]: "A" for each in DIRECTIONS}
+        signals = {
+            COMMAND[direction]: command if direction == mode else 0 * command for direction in DIRECTIONS
+        }
+        units = {"displacement": "mm"} | {COMMAND[direction]: "A" for direction in DIRECTIONS}
         return Record(name, STEP_S, {"displacement": displacement, **signals}, units)
 
     return make
@@ -70,11 +72,17 @@ def changed():
 
 
 @pytest.fixture
-def found():
+def findings_of():
     """Return a function that audits records and gives the findings of one check, or all."""
 
     def find(records, check=None):
         findings = audit(Campaign.of(records))
-        return [each for each in findings if check is None or each.check == check]
+        return [finding for finding in findings if check is None or finding.check == check]
 
     return find
+
+
+@pytest.fixture
+def planted(clean, changed):
+    """Return a function that gives the clean campaign with another displacement in its first test."""
+    return lambda displacement: [changed(clean[0], signals={"displacement": displacement}), *clean[1:]]

@@ -56,13 +56,12 @@ def test_a_controller_is_found(make_record, tests, disturbance):
 def test_the_commands_of_a_controller_replayed_are_no_feedback(make_record):
     rng = np.random.default_rng(2)
     under_feedback = [recorded(make_record, rng, setpoint=steps(rng)) for _ in range(6)]
-    replayed = [recorded(make_record, rng, command=each.command("lifting")) for each in under_feedback]
+    replayed = [recorded(make_record, rng, command=test.command("lifting")) for test in under_feedback]
     assert feedback_of(under_feedback) is not None
     assert feedback_of(replayed) is None
 
 
-@pytest.mark.parametrize("hold", [5, 20, 50])
-@pytest.mark.parametrize("measured", [0.0, 0.003])
+@pytest.mark.parametrize(("hold", "measured"), [(5, 0.003), (20, 0.0), (50, 0.003)])
 def test_a_switched_command_is_no_feedback_though_the_valve_is_curved(make_record, hold, measured):
     """Neither exact nor measured with noise, when the residual of a linear regression has structure."""
     for seed in range(4):
@@ -78,7 +77,7 @@ def test_a_switched_command_is_no_feedback_though_the_valve_is_curved(make_recor
 def test_a_constant_command_that_a_limit_switch_ends_is_no_feedback(make_record):
     rng = np.random.default_rng(4)
     level = rng.uniform(0.4, 0.8, 6)
-    records = [recorded(make_record, rng, command=np.full(SAMPLES, each), stop=40.0) for each in level]
+    records = [recorded(make_record, rng, command=np.full(SAMPLES, held), stop=40.0) for held in level]
     assert feedback_of(records) is None
 
 
@@ -92,9 +91,9 @@ def test_short_tests_ramps_and_silence_are_no_evidence(make_record):
     assert feedback_of(records) is None
 
 
-def test_the_audit_warns_and_tells_what_to_log(make_record, found):
+def test_the_audit_warns_and_tells_what_to_log(make_record, findings_of):
     rng = np.random.default_rng(6)
-    (finding,) = found([recorded(make_record, rng, setpoint=steps(rng))], "feedback")
+    (finding,) = findings_of([recorded(make_record, rng, setpoint=steps(rng))], "feedback")
     assert finding.severity is Severity.WARNING
     assert "log the setpoint" in finding.advice
 

@@ -20,14 +20,14 @@ def test_noise_is_told_within_its_statistical_error(make_test, changed, sigma, q
     displacement = record.displacement + sigma * rng.standard_normal(len(record))
     if quantum:
         displacement = quantum * np.round(displacement / quantum)
-    told = quality(changed(record, signals={"displacement": displacement}))
+    measured = quality(changed(record, signals={"displacement": displacement}))
     tolerance = 5 * NOISE_ERROR / np.sqrt(len(record)) * np.hypot(sigma, (quantum or 0) / 12**0.5)
-    assert told.noise == pytest.approx(sigma, abs=tolerance + 0.02 * sigma)
-    assert told.quantum == (pytest.approx(quantum) if quantum else None)
+    assert measured.noise == pytest.approx(sigma, abs=tolerance + 0.02 * sigma)
+    assert measured.quantum == (pytest.approx(quantum) if quantum else None)
 
 
 @pytest.mark.parametrize("factor", [1.0, 1e-3, 25.4])
-def test_the_smallest_step_is_found_in_any_unit_and_from_any_zero(make_test, changed, factor):
+def test_the_smallest_step_is_found_in_any_unit(make_test, changed, factor):
     record = make_test("a")
     displacement = factor * (3.217 + 0.25 * np.round(record.displacement / 0.25))
     assert quality(changed(record, signals={"displacement": displacement})).quantum == pytest.approx(
@@ -37,8 +37,8 @@ def test_the_smallest_step_is_found_in_any_unit_and_from_any_zero(make_test, cha
 
 def test_steady_motion_without_noise_is_not_quantised(make_record):
     displacement = np.concatenate([np.zeros(50), np.linspace(0, 7, 200), np.full(50, 7.0)])
-    told = quality(make_record(displacement, np.ones(300)))
-    assert (told.quantum, told.noise) == (None, 0.0)
+    measured = quality(make_record(displacement, np.ones(300)))
+    assert (measured.quantum, measured.noise) == (None, 0.0)
 
 
 def test_a_jittering_clock_is_told_as_reading_found_it(make_test, changed):
@@ -48,37 +48,39 @@ def test_a_jittering_clock_is_told_as_reading_found_it(make_test, changed):
     assert quality(changed(record, clock=ClockQuality(jitter=1e-9, longest_gap_s=0.02))).jitter is None
 
 
-def test_a_coarse_sensor_is_found(clean, changed, found):
+def test_a_coarse_sensor_is_found(clean, changed, findings_of):
     rough = [changed(r, signals={"displacement": 5.0 * np.round(r.displacement / 5.0)}) for r in clean]
-    warned = [each for each in found(rough, "quantisation") if each.severity is Severity.WARNING]
+    warned = [
+        finding for finding in findings_of(rough, "quantisation") if finding.severity is Severity.WARNING
+    ]
     assert len(warned) == 1
     assert "steps of 5 mm" in warned[0].what
 
 
-def test_one_step_motion_lost_in_rounding_is_noted(make_test, changed, found):
+def test_one_step_motion_lost_in_rounding_is_noted(make_test, changed, findings_of):
     records = [make_test(f"l-{n}", samples=6000, noise=0.0) for n in range(2)]
     rough = [changed(r, signals={"displacement": 0.4 * np.round(r.displacement / 0.4)}) for r in records]
-    noted = found(rough, "quantisation")
-    assert [each.severity for each in noted] == [Severity.NOTE] * 2
+    noted = findings_of(rough, "quantisation")
+    assert [finding.severity for finding in noted] == [Severity.NOTE] * 2
     assert "steps of 0.4 mm" in noted[0].what
     fine = [changed(r, signals={"displacement": 0.01 * np.round(r.displacement / 0.01)}) for r in records]
-    assert found(fine, "quantisation") == []
+    assert findings_of(fine, "quantisation") == []
 
 
-def test_noise_above_one_percent_of_the_range_is_found(make_test, found):
+def test_noise_above_one_percent_of_the_range_is_found(make_test, findings_of):
     loud = [make_test("a", noise=2.0), make_test("b", noise=0.05)]
-    (finding,) = found(loud, "noise")
+    (finding,) = findings_of(loud, "noise")
     assert finding.record == "a"
     assert "standard deviation of 2" in finding.what or "standard deviation of 1.9" in finding.what
 
 
 @pytest.mark.parametrize("quantum", [None, 0.01])
 @pytest.mark.parametrize("period", [2.0, 2.5, 3.0, 10.0])
-def test_a_sensor_read_less_often_than_logged_is_found(clean, changed, found, period, quantum):
+def test_a_sensor_read_less_often_than_logged_is_found(clean, planted, findings_of, period, quantum):
     rows = (np.arange(len(clean[0])) // period * period).astype(int)
     held = clean[0].displacement[rows]
     held = held if quantum is None else quantum * np.round(held / quantum)
-    findings = found([changed(clean[0], signals={"displacement": held}), *clean[1:]], "sampling")
+    findings = findings_of(planted(held), "sampling")
     (finding,) = [finding for finding in findings if "updated" in finding.what]
     assert (finding.record, finding.severity) == ("lifting-1", Severity.WARNING)
     # Of a period of two and a half samples every second change comes after two, or after three.
@@ -86,21 +88,21 @@ def test_a_sensor_read_less_often_than_logged_is_found(clean, changed, found, pe
     assert said == pytest.approx(0.01 * period, abs=0.005 if period % 1 else 1e-9)
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.004, 0.05])
-@pytest.mark.parametrize("gain", [1.0, 10.0, 40.0])
-def test_rounding_of_slow_motion_is_no_slow_sensor(make_test, changed, found, gain, noise):
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+@pytest.mark.parametrize("gain", [1.0, 40.0])
+def test_rounding_of_slow_motion_is_no_slow_sensor(make_test, changed, findings_of, gain, noise):
     # At 0.02 mm a step, 1 mm/(s A) moves by 0.1 to 0.3 of it in a sample, 40 by 4 to 12 of them.
     records = [make_test(f"l-{number}", gain=gain, noise=noise) for number in range(3)]
     rounded = [changed(r, signals={"displacement": 0.02 * np.round(r.displacement / 0.02)}) for r in records]
-    assert not [finding for finding in found(rounded, "sampling") if "updated" in finding.what]
+    assert not [finding for finding in findings_of(rounded, "sampling") if "updated" in finding.what]
 
 
-def test_a_dead_band_of_the_sensor_is_found(make_test, changed, found):
+def test_a_dead_band_of_the_sensor_is_found(make_test, changed, findings_of):
     record = make_test("a", noise=0.0, samples=3000)
     smooth, held = record.displacement, [record.displacement[0]]
     for value in smooth[1:]:
         held.append(value if abs(value - held[-1]) > 0.4 else held[-1])
-    (finding,) = found([changed(record, signals={"displacement": np.array(held)})], "dead band")
+    (finding,) = findings_of([changed(record, signals={"displacement": np.array(held)})], "dead band")
     hop = float(finding.what.split("jumps by ")[1].split()[0])
     assert 0.4 <= hop < 0.6
-    assert found([record], "dead band") == []
+    assert findings_of([record], "dead band") == []

@@ -14,15 +14,12 @@ from hitchid.logs.campaign import Campaign
 from hitchid.logs.record import Record
 
 
-def test_clean_logs_have_no_findings(clean, found):
-    assert found(clean) == []
-
-
-def test_an_empty_campaign_has_no_findings():
+def test_clean_logs_and_none_have_no_findings(clean, findings_of):
+    assert findings_of(clean) == []
     assert audit(Campaign(())) == ()
 
 
-def test_findings_come_by_level_then_check_then_record(clean, changed, found):
+def test_findings_come_by_level_then_check_then_record(clean, changed, findings_of):
     stuck, spiky = clean[3].displacement.copy(), clean[1].displacement.copy()
     stuck[500:700] = stuck[500]
     spiky[300] += 30
@@ -36,36 +33,33 @@ def test_findings_come_by_level_then_check_then_record(clean, changed, found):
     ]
     levels = list(Severity)
     order = [record.name for record in Campaign.of(records).records]
-    findings = found(records)
-    assert {each.severity for each in findings} >= {Severity.FAULT, Severity.WARNING}
+    findings = findings_of(records)
+    assert {finding.severity for finding in findings} >= {Severity.FAULT, Severity.WARNING}
     keys = [(levels.index(f.severity), f.check, order.index(f.record) if f.record else -1) for f in findings]
     assert keys == sorted(keys)
 
 
-def test_what_four_records_share_is_one_finding_that_names_them(clean, changed, found):
+def test_what_four_records_share_is_one_finding_that_names_them(clean, changed, findings_of):
     def spiky(record):
         displacement = record.displacement.copy()
         displacement[300] += 30
         return changed(record, signals={"displacement": displacement})
 
-    three = found([*map(spiky, clean[:3]), *clean[3:]], "spikes")
-    assert [each.record for each in three] == ["lifting-1", "lifting-2", "lifting-3"]
-    (one,) = found([*map(spiky, clean[:5]), *clean[5:]], "spikes")
+    three = findings_of([*map(spiky, clean[:3]), *clean[3:]], "spikes")
+    assert [finding.record for finding in three] == ["lifting-1", "lifting-2", "lifting-3"]
+    (one,) = findings_of([*map(spiky, clean[:5]), *clean[5:]], "spikes")
     assert (one.record, one.spans) == ("", ())
     assert "in 5 of 16 tests (lifting-1, lifting-2, lifting-3 …)" in one.what
 
 
-def test_a_finding_is_json(clean, changed, found):
+def test_findings_and_quality_are_json(clean, planted, findings_of):
     displacement = clean[0].displacement.copy()
     displacement[300] += 30
-    (finding,) = found([changed(clean[0], signals={"displacement": displacement}), *clean[1:]])
+    (finding,) = findings_of(planted(displacement))
     described = finding.describe()
     assert json.loads(json.dumps(described, allow_nan=False)) == described
     assert described["level"] == "warning"
     assert described["places"] == [{"record": described["records"][0], "start_s": 3.0, "stop_s": 3.0}]
-
-
-def test_quality_is_json(clean):
     described = quality(clean[0]).describe()
     assert json.loads(json.dumps(described, allow_nan=False)) == described
     assert described["samples"] == 1200
@@ -111,16 +105,16 @@ def campaigns(draw):
 def test_any_campaign_is_audited_and_described(drawn):
     try:
         with np.errstate(all="ignore"):
-            campaign = Campaign.of([Record(*each) for each in drawn])
+            campaign = Campaign.of([Record(*content) for content in drawn])
     except (HitchError, OverflowError, ValueError):
         assume(False)
     findings = audit(campaign)
-    assert json.dumps([each.describe() for each in findings], allow_nan=False)
-    for each in findings:
-        assert isinstance(each, AuditFinding)
-        assert all(start <= stop for start, stop in each.spans)
-        assert each.what
-        assert each.advice
+    assert json.dumps([finding.describe() for finding in findings], allow_nan=False)
+    for finding in findings:
+        assert isinstance(finding, AuditFinding)
+        assert all(start <= stop for start, stop in finding.spans)
+        assert finding.what
+        assert finding.advice
     for record in campaign.records:
         assert json.dumps(quality(record).describe(), allow_nan=False)
 
@@ -130,6 +124,6 @@ def test_measured_logs_have_no_faults(data, folder):
     from hitchid.logs import read
 
     findings = audit(read(data(folder)))
-    assert [each for each in findings if each.severity is Severity.FAULT] == []
+    assert [finding for finding in findings if finding.severity is Severity.FAULT] == []
     if folder == "rig-a":
-        assert [each for each in findings if each.severity is Severity.WARNING] == []
+        assert [finding for finding in findings if finding.severity is Severity.WARNING] == []

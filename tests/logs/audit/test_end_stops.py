@@ -38,7 +38,7 @@ def log(make_record):
 
 
 @pytest.mark.parametrize("level", [20.0, 60.0, 100.0])
-def test_one_standstill_under_any_command_is_a_stop_and_each_log_at_it_is_named(log, level):
+def test_one_standstill_is_a_stop_and_names_its_logs(log, level):
     # 20 % moves by 2.25 %/s: a command that is weak beside the others is enough.
     stands = log("stands", (0, 1), (60, 1.5), (0, 1), (level, 1 + 25 / (0.45 * (level - 15)) + 1), start=60.0)
     touches = log("touches", (0, 1), (60, 4.0), (0, 1), (-60, 1), (0, 1), start=30.0)
@@ -52,14 +52,14 @@ def test_one_standstill_under_any_command_is_a_stop_and_each_log_at_it_is_named(
     assert find_end_stop([stands, touches, passes], "lowering", -1) is None
 
 
-def test_a_piston_that_is_held_within_its_dead_zone_is_at_no_stop(log):
+def test_a_piston_within_its_dead_zone_is_at_no_stop(log):
     # At the extreme of its travel and 10 % of command, which moves nothing: neither here nor elsewhere.
     held = [log(f"held-{n}", (0, 1), (60, 2.0), (10, 3), (0, 1), start=10.0 + n) for n in range(3)]
     assert find_end_stop(held, "lifting", 1) is None
     assert [finding for finding in audit(Campaign.of(held)) if finding.check == "end stop"] == []
 
 
-def test_a_piston_that_stands_elsewhere_under_the_same_command_is_at_no_stop(log):
+def test_a_piston_that_stands_elsewhere_is_at_no_stop(log):
     # Blocked at 60 and at 80 %: whatever holds it, it is no end of the stroke.
     blocked = [log(f"b-{end}", (0, 1), (60, 6), (0, 1), start=20.0, stops=(0.0, end)) for end in (60.0, 80.0)]
     assert find_end_stop(blocked, "lifting", 1) is None
@@ -81,7 +81,7 @@ def test_both_stops_of_mixed_logs_are_found_and_named_by_the_audit(log):
     np.testing.assert_allclose(positions, [0.0, 100.0], atol=NOISE)
 
 
-def test_a_stop_that_is_given_is_used_and_logs_beyond_it_are_named(log):
+def test_logs_beyond_a_given_stop_are_named(log):
     logs = [log("near", (0, 1), (40, 2), (0, 1), start=60.0), log("far", (0, 1), (60, 4), (0, 1), start=17.0)]
     stop = find_end_stop(logs, "lifting", 1, known=100.0)
     assert (stop.position, stop.reached, dict(stop.standing)) == (100.0, (), {})
@@ -136,14 +136,14 @@ def test_stops_that_are_no_range_are_refused_with_the_file(tmp_path, wrong):
         read(write_log(tmp_path / "a", f"end_stops = {wrong}\n"))
 
 
-def test_a_piston_that_something_holds_before_its_end_is_found(clean, make_test, changed, found):
-    assert found(clean, "stall") == []
+def test_a_piston_that_something_holds_before_its_end_is_found(clean, make_test, changed, findings_of):
+    assert findings_of(clean, "stall") == []
     command = np.repeat([0.0, 0.6, 0.5, 0.0], 300)
     held, free = make_test("held", command=command), make_test("free", command=command)
     rng = np.random.default_rng(0)
     limited = np.minimum(held.displacement, 25.0) + 0.05 * rng.standard_normal(len(held))
     # At 0.6 A stands what 0.4 A moves in the others.
-    (finding,) = found([changed(held, signals={"displacement": limited}), free, *clean], "stall")
+    (finding,) = findings_of([changed(held, signals={"displacement": limited}), free, *clean], "stall")
     assert (finding.record, finding.severity) == ("held", Severity.WARNING)
     stands_at = float(finding.what.split("stands at ")[1].split()[0])
     assert stands_at == pytest.approx(25.0, abs=0.05)  # the noise

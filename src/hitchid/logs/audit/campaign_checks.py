@@ -39,15 +39,12 @@ def little_motion(context: RecordContext) -> list[AuditFinding]:
     if context.record.kind == IDLE or not 0 < quality.peak_to_peak < MIN_NOISE_RATIO * quality.noise:
         return []
     ratio = quality.peak_to_peak / quality.noise
-    return [
-        context.finding(
-            "excitation",
-            Severity.WARNING,
-            f"the displacement changes by {quality.peak_to_peak:.3g} {quality.unit}, {ratio:.0f} times its "
-            f"noise standard deviation of {quality.noise:.2g} {quality.unit}",
-            "run the test longer or at a higher command",
-        )
-    ]
+    what = (
+        f"the displacement changes by {quality.peak_to_peak:.3g} {quality.unit}, {ratio:.0f} times its "
+        f"noise standard deviation of {quality.noise:.2g} {quality.unit}"
+    )
+    advice = "run the test longer or at a higher command"
+    return [context.finding("excitation", Severity.WARNING, what, advice)]
 
 
 def short_or_idle(context: RecordContext) -> list[AuditFinding]:

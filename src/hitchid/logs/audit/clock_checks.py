@@ -32,38 +32,29 @@ def steps(context: RecordContext) -> list[AuditFinding]:
     if clock.logged_step_s is not None:
         step_s = context.record.step_s
         step_differs = not 1 / UNLIKE_STEPS < clock.logged_step_s / step_s < UNLIKE_STEPS
-        findings.append(
-            context.finding(
-                "sampling",
-                Severity.WARNING if step_differs else Severity.NOTE,
-                f"the log was sampled every {clock.logged_step_s:.4g} s, the campaign every {step_s:.4g} s; "
-                "it was resampled",
-                "log every test with the same sampling time",
-                signal="",
-            )
+        severity = Severity.WARNING if step_differs else Severity.NOTE
+        what = (
+            f"the log was sampled every {clock.logged_step_s:.4g} s, the campaign every {step_s:.4g} s; "
+            "it was resampled"
         )
+        advice = "log every test with the same sampling time"
+        findings.append(context.finding("sampling", severity, what, advice, signal=""))
     if context.quality.jitter is not None:
-        findings.append(
-            context.finding(
-                "sampling",
-                Severity.WARNING if context.quality.jitter >= MUCH_JITTER else Severity.NOTE,
-                f"the clock jitters by {context.quality.jitter:.1%} of {context.record.step_s:g} s; "
-                "the log was resampled",
-                "log on the controller's clock, or record the time of each sample",
-                signal="",
-            )
+        severity = Severity.WARNING if context.quality.jitter >= MUCH_JITTER else Severity.NOTE
+        what = (
+            f"the clock jitters by {context.quality.jitter:.1%} of {context.record.step_s:g} s; "
+            "the log was resampled"
         )
+        advice = "log on the controller's clock, or record the time of each sample"
+        findings.append(context.finding("sampling", severity, what, advice, signal=""))
     elif clock.longest_gap_s:
-        findings.append(
-            context.finding(
-                "sampling",
-                Severity.WARNING if clock.interpolated_share >= MUCH_LOST else Severity.NOTE,
-                f"{clock.interpolated_share:.1%} of the samples were lost and are interpolated; "
-                f"the longest gap is {clock.longest_gap_s:.3g} s",
-                "check why the logger lost samples",
-                signal="",
-            )
+        severity = Severity.WARNING if clock.interpolated_share >= MUCH_LOST else Severity.NOTE
+        what = (
+            f"{clock.interpolated_share:.1%} of the samples were lost and are interpolated; "
+            f"the longest gap is {clock.longest_gap_s:.3g} s"
         )
+        advice = "check why the logger lost samples"
+        findings.append(context.finding("sampling", severity, what, advice, signal=""))
     return findings
 
 
@@ -85,15 +76,12 @@ def coarse(context: RecordContext) -> list[AuditFinding]:
     if not (fast_step > quality.noise_bound and fast_step * FEWEST_SAMPLES_A_STROKE > quality.peak_to_peak):
         return []
     share = fast_step / quality.peak_to_peak
-    return [
-        context.finding(
-            "sampling",
-            Severity.WARNING,
-            f"from one sample to the next the piston moves by up to {fast_step:.3g} {quality.unit}, "
-            f"{share:.0%} of its range of {quality.peak_to_peak:.4g} {quality.unit}",
-            f"log with a shorter sampling time: at least {FEWEST_SAMPLES_A_STROKE} samples per stroke",
-        )
-    ]
+    what = (
+        f"from one sample to the next the piston moves by up to {fast_step:.3g} {quality.unit}, "
+        f"{share:.0%} of its range of {quality.peak_to_peak:.4g} {quality.unit}"
+    )
+    advice = f"log with a shorter sampling time: at least {FEWEST_SAMPLES_A_STROKE} samples per stroke"
+    return [context.finding("sampling", Severity.WARNING, what, advice)]
 
 
 def time_unit(context: CampaignContext) -> list[AuditFinding]:
@@ -295,27 +283,26 @@ def motion_before_command(context: CampaignContext) -> list[AuditFinding]:
     early = [
         (test, onset, start) for test, onset in from_rest if (start := _motion_start(test, onset)) is not None
     ]
-    at_speed = [entry for entry in early if not _creeps(*entry)]
-    clocks_disagree = len(at_speed) >= 2 and 2 * len(at_speed) >= len(from_rest)
+    creeps = [_creeps(*entry) for entry in early]
+    at_speed = creeps.count(False)
+    clocks_disagree = at_speed >= 2 and 2 * at_speed >= len(from_rest)
     findings = []
-    for test, onset, start in early:
-        creeping = _creeps(test, onset, start)
+    for (test, onset, start), creeping in zip(early, creeps, strict=True):
         travelled = float(test.record.displacement[onset] - test.record.displacement[0])
         verb = "creeps" if creeping else "moves"
         lead_s = (onset - start) * test.record.step_s
+        severity = Severity.FAULT if clocks_disagree and not creeping else Severity.WARNING
+        what = (
+            f"the displacement {verb} by {travelled:.3g} {test.quality.unit} before any "
+            f"command changes; the motion starts {lead_s:.3g} s before the command"
+        )
+        advice = (
+            "let the piston come to rest before a test"
+            if creeping
+            else "check that command and displacement are logged on one clock, or start tests at rest"
+        )
         findings.append(
-            test.finding(
-                "motion before command",
-                Severity.FAULT if clocks_disagree and not creeping else Severity.WARNING,
-                (
-                    f"the displacement {verb} by {travelled:.3g} {test.quality.unit} before any "
-                    f"command changes; the motion starts {lead_s:.3g} s before the command"
-                ),
-                "let the piston come to rest before a test"
-                if creeping
-                else "check that command and displacement are logged on one clock, or start tests at rest",
-                intervals=[(start, onset + 1)],
-            )
+            test.finding("motion before command", severity, what, advice, intervals=[(start, onset + 1)])
         )
     return findings
 

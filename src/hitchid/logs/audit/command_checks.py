@@ -164,7 +164,21 @@ def signs(context: CampaignContext) -> list[AuditFinding]:
             )
             advice += "each test"
             findings.append(AuditFinding("sign", Severity.FAULT, "", DISPLACEMENT, (), what, advice))
-    return findings + _compare_directions(majority_sign)
+    if set(majority_sign) != set(DIRECTIONS) or majority_sign == {LIFTING: 1, LOWERING: -1}:
+        return findings
+    severity = Severity.WARNING
+    what = "the displacement decreases in lifting and increases in lowering"
+    advice = (
+        "this is correct for a sensor that measures downwards: each direction is identified as measured; "
+        "otherwise swap the commands in campaign.toml, or reverse the sign of one signal: set scale = -1 "
+        "for its column"
+    )
+    # Both reversed is a matter of where the sensor points; both alike no plant does.
+    if majority_sign[LIFTING] == majority_sign[LOWERING]:
+        severity = Severity.FAULT
+        what = f"the displacement {_verb(majority_sign[LIFTING])} in lifting and in lowering"
+        advice = f"check the columns assigned to {COMMAND[LIFTING]} and {COMMAND[LOWERING]} in campaign.toml"
+    return [*findings, AuditFinding("sign", severity, "", DISPLACEMENT, (), what, advice)]
 
 
 def _travels(context: CampaignContext, direction: str) -> list[tuple[RecordContext, float]]:
@@ -181,22 +195,6 @@ def _travels(context: CampaignContext, direction: str) -> list[tuple[RecordConte
 
 def _verb(sign: int) -> str:
     return "increases" if sign > 0 else "decreases"
-
-
-def _compare_directions(majority_sign: dict[str, int]) -> list[AuditFinding]:
-    if set(majority_sign) != set(DIRECTIONS) or majority_sign == {LIFTING: 1, LOWERING: -1}:
-        return []
-    if majority_sign[LIFTING] == majority_sign[LOWERING]:
-        what = f"the displacement {_verb(majority_sign[LIFTING])} in lifting and in lowering"
-        advice = f"check the columns assigned to {COMMAND[LIFTING]} and {COMMAND[LOWERING]} in campaign.toml"
-        return [AuditFinding("sign", Severity.FAULT, "", DISPLACEMENT, (), what, advice)]
-    what = "the displacement decreases in lifting and increases in lowering"
-    advice = (
-        "this is correct for a sensor that measures downwards: each direction is identified as measured; "
-        "otherwise swap the commands in campaign.toml, or reverse the sign of one signal: set scale = -1 "
-        "for its column"
-    )
-    return [AuditFinding("sign", Severity.WARNING, "", DISPLACEMENT, (), what, advice)]
 
 
 SHORT_OVERLAP_S = 0.1  # s; overlap that filters and ramps of a controller cause at a change of direction
@@ -219,17 +217,14 @@ def both_valves(context: RecordContext) -> list[AuditFinding]:
         return []
     longest = int(np.max(stops - starts)) * record.step_s
     time = int(np.sum(stops - starts)) * record.step_s
-    return [
-        context.finding(
-            "both valves",
-            Severity.NOTE if longest <= SHORT_OVERLAP_S else Severity.WARNING,
-            f"both commands are active {starts.size} time{'s' * (starts.size > 1)}, {time:.3g} s in total, "
-            f"at most {longest:.3g} s at once, first at {record.start_s + starts[0] * record.step_s:.6g} s",
-            "end one command before the other starts; in an overlap the lowering command is used",
-            signal="",
-            intervals=list(zip(starts.tolist(), stops.tolist(), strict=True)),
-        )
-    ]
+    severity = Severity.NOTE if longest <= SHORT_OVERLAP_S else Severity.WARNING
+    what = (
+        f"both commands are active {starts.size} time{'s' * (starts.size > 1)}, {time:.3g} s in total, "
+        f"at most {longest:.3g} s at once, first at {record.start_s + starts[0] * record.step_s:.6g} s"
+    )
+    advice = "end one command before the other starts; in an overlap the lowering command is used"
+    intervals = list(zip(starts.tolist(), stops.tolist(), strict=True))
+    return [context.finding("both valves", severity, what, advice, signal="", intervals=intervals)]
 
 
 def idle_commands(context: CampaignContext) -> list[AuditFinding]:
@@ -245,7 +240,7 @@ def idle_commands(context: CampaignContext) -> list[AuditFinding]:
         smallest = min(float(np.min(np.abs(test.record.command(direction)))) for test in context.tests)
         if not scale > 0:
             continue
-        unit = command_unit(context.tests[0].record, direction)
+        unit, signal = command_unit(context.tests[0].record, direction), COMMAND[direction]
         if smallest > ACTIVE_FRACTION * scale:
             what = (
                 f"the {direction} command is never below {smallest:.3g} {unit} in any log, "
@@ -255,9 +250,7 @@ def idle_commands(context: CampaignContext) -> list[AuditFinding]:
                 "subtract the offset from the command, or log one test that starts at command "
                 "zero: the offset makes the dead zone too large"
             )
-            findings.append(
-                AuditFinding("idle command", Severity.WARNING, "", COMMAND[direction], (), what, advice)
-            )
+            findings.append(AuditFinding("idle command", Severity.WARNING, "", signal, (), what, advice))
             continue
         # A ramp crosses zero.
         idle = [
@@ -270,7 +263,5 @@ def idle_commands(context: CampaignContext) -> list[AuditFinding]:
         if level > IDLE_FRACTION * scale:
             what = f"the idle {direction} command is {level:.3g} {unit}, {level / scale:.1%} of full scale"
             advice = "check the zero of the current sensor and the bias of the valve"
-            findings.append(
-                AuditFinding("idle command", Severity.NOTE, "", COMMAND[direction], (), what, advice)
-            )
+            findings.append(AuditFinding("idle command", Severity.NOTE, "", signal, (), what, advice))
     return findings

@@ -262,15 +262,9 @@ def end_stops(context: CampaignContext) -> list[AuditFinding]:
                 stretches, where, extent = [(int(np.argmin(way)), int(np.argmin(way)) + 1)], "", ""
                 where = f"reaches the end stop of {stop.position:.5g} {unit} at"
             begin_s = record.start_s + stretches[0][0] * record.step_s
-            findings.append(
-                test.finding(
-                    "end stop",
-                    Severity.NOTE,
-                    f"the piston {where} {begin_s:.6g} s{extent}",
-                    "end tests before the stop: samples at the stop contain no information on the valve",
-                    intervals=stretches,
-                )
-            )
+            what = f"the piston {where} {begin_s:.6g} s{extent}"
+            advice = "end tests before the stop: samples at the stop contain no information on the valve"
+            findings.append(test.finding("end stop", Severity.NOTE, what, advice, intervals=stretches))
     return findings + _passed(context) + _stalled(context, stops)
 
 

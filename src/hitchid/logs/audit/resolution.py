@@ -40,15 +40,12 @@ def quantisation(context: RecordContext) -> list[AuditFinding]:
         return []
     findings, count = [], context.campaign_range / step
     if context.campaign_range < FEWEST_STEPS * step:
-        findings.append(
-            context.finding(
-                "quantisation",
-                Severity.WARNING,
-                f"the displacement is quantised in steps of {step:.3g} {quality.unit}, {count:.0f} in the "
-                f"range of {context.campaign_range:.4g} {quality.unit}",
-                "use a finer sensor or converter, or log more digits",
-            )
+        what = (
+            f"the displacement is quantised in steps of {step:.3g} {quality.unit}, {count:.0f} in the "
+            f"range of {context.campaign_range:.4g} {quality.unit}"
         )
+        advice = "use a finer sensor or converter, or log more digits"
+        findings.append(context.finding("quantisation", Severity.WARNING, what, advice))
     moving = context.any_active()[:-1]
     samples = int(np.count_nonzero(moving))
     if not samples or quality.noise > HIDDEN_NOISE * step:
@@ -57,16 +54,13 @@ def quantisation(context: RecordContext) -> list[AuditFinding]:
     mean_motion = float(np.sum(motion, where=moving)) / samples
     still_share = float(np.count_nonzero(moving & (motion < step / 2))) / samples
     if 0 < mean_motion < step / 2 and still_share > 0.5:
-        findings.append(
-            context.finding(
-                "quantisation",
-                Severity.NOTE,
-                f"in {still_share:.0%} of the commanded samples the displacement does not change: it is "
-                f"quantised in steps of {step:.3g} {quality.unit}; "
-                f"it moves {mean_motion:.2g} {quality.unit} per sample",
-                "compare models by free runs, not by one-step errors; or log more digits",
-            )
+        what = (
+            f"in {still_share:.0%} of the commanded samples the displacement does not change: it is "
+            f"quantised in steps of {step:.3g} {quality.unit}; "
+            f"it moves {mean_motion:.2g} {quality.unit} per sample"
         )
+        advice = "compare models by free runs, not by one-step errors; or log more digits"
+        findings.append(context.finding("quantisation", Severity.NOTE, what, advice))
     return findings
 
 
@@ -78,15 +72,12 @@ def noisy(context: RecordContext) -> list[AuditFinding]:
     noise, unit = context.quality.noise, context.quality.unit
     if not (context.campaign_range > 0 and noise > MUCH_NOISE * context.campaign_range):
         return []
-    return [
-        context.finding(
-            "noise",
-            Severity.WARNING,
-            f"the displacement's noise has a standard deviation of {noise:.3g} {unit}, "
-            f"{noise / context.campaign_range:.1%} of the range of {context.campaign_range:.4g} {unit}",
-            "check the shielding, the supply and the range of the sensor",
-        )
-    ]
+    what = (
+        f"the displacement's noise has a standard deviation of {noise:.3g} {unit}, "
+        f"{noise / context.campaign_range:.1%} of the range of {context.campaign_range:.4g} {unit}"
+    )
+    advice = "check the shielding, the supply and the range of the sensor"
+    return [context.finding("noise", Severity.WARNING, what, advice)]
 
 
 def update_rate(context: RecordContext) -> list[AuditFinding]:
@@ -153,23 +144,29 @@ def spikes(context: RecordContext) -> list[AuditFinding]:
     large = _large_steps(context, steps)
     if large.size < 2 or large.size > MOST_SPIKES_FRACTION * steps.size:
         return []
-    pairs, heights = _pairs(context.record.displacement, steps, large)
+    out, back = large[:-1], large[1:]
+    height = np.abs(steps[out])
+    displacement = context.record.displacement
+    remainder = np.abs(displacement[back + 1] - displacement[out])
+    is_spike = (back - out <= LONGEST_SPIKE) & (steps[out] * steps[back] < 0)
+    is_spike &= remainder < RETURNED_FRACTION * height
+    candidates = np.flatnonzero(is_spike)
+    # The return of one spike is not the start of the next.
+    selected = [int(k) for place, k in enumerate(candidates) if place == 0 or candidates[place - 1] != k - 1]
+    pairs = [(int(out[k]) + 1, int(back[k]) + 1) for k in selected]
     if not pairs:
         return []
+    highest = max(float(height[k]) for k in selected)
     first_s, unit = context.record.start_s + pairs[0][0] * context.record.step_s, context.quality.unit
-    return [
-        context.finding(
-            "spikes",
-            Severity.WARNING,
-            f"{len(pairs)} spike{'s' * (len(pairs) > 1)} of up to {max(heights):.3g} {unit} in the "
-            f"displacement, first at {first_s:.6g} s",
-            (
-                "check the sensor's cable, shield and slider; remove the spikes from the log: "
-                "the identification treats them as real motion"
-            ),
-            intervals=pairs,
-        )
-    ]
+    what = (
+        f"{len(pairs)} spike{'s' * (len(pairs) > 1)} of up to {highest:.3g} {unit} in the "
+        f"displacement, first at {first_s:.6g} s"
+    )
+    advice = (
+        "check the sensor's cable, shield and slider; remove the spikes from the log: the identification "
+        "treats them as real motion"
+    )
+    return [context.finding("spikes", Severity.WARNING, what, advice, intervals=pairs)]
 
 
 def jumps(context: RecordContext) -> list[AuditFinding]:
@@ -194,17 +191,14 @@ def jumps(context: RecordContext) -> list[AuditFinding]:
         return []
     largest = float(steps[jump_samples][np.argmax(np.abs(steps[jump_samples]))])
     first_s = context.record.start_s + float(jump_samples[0]) * context.record.step_s
-    return [
-        context.finding(
-            "jumps",
-            Severity.WARNING,
-            f"the displacement jumps {jump_samples.size} time{'s' * (jump_samples.size > 1)}, by up to "
-            f"{abs(largest):.3g} {context.quality.unit} from one sample to the next, "
-            f"first at {first_s:.6g} s",
-            "check for a slipping sensor, a sticking slider or lost samples; cut the log at the jump",
-            intervals=[(int(k), int(k) + 2) for k in jump_samples],
-        )
-    ]
+    what = (
+        f"the displacement jumps {jump_samples.size} time{'s' * (jump_samples.size > 1)}, by up to "
+        f"{abs(largest):.3g} {context.quality.unit} from one sample to the next, "
+        f"first at {first_s:.6g} s"
+    )
+    advice = "check for a slipping sensor, a sticking slider or lost samples; cut the log at the jump"
+    intervals = [(int(k), int(k) + 2) for k in jump_samples]
+    return [context.finding("jumps", Severity.WARNING, what, advice, intervals=intervals)]
 
 
 def _large_steps(context: RecordContext, steps: np.ndarray) -> np.ndarray:
@@ -221,20 +215,3 @@ def _large_steps(context: RecordContext, steps: np.ndarray) -> np.ndarray:
         MIN_SPIKE_FRACTION * quality.peak_to_peak,
     )
     return np.flatnonzero(np.abs(steps) > limit) if limit > 0 else np.zeros(0, dtype=np.int64)
-
-
-def _pairs(
-    displacement: np.ndarray, steps: np.ndarray, large: np.ndarray
-) -> tuple[list[tuple[int, int]], list[float]]:
-    """Return samples `start:stop` of spikes and their heights."""
-    out, back = large[:-1], large[1:]
-    height = np.abs(steps[out])
-    remainder = np.abs(displacement[back + 1] - displacement[out])
-    spike = (back - out <= LONGEST_SPIKE) & (steps[out] * steps[back] < 0)
-    spike &= remainder < RETURNED_FRACTION * height
-    candidates = np.flatnonzero(spike)
-    # The return of one spike is not the start of the next.
-    selected = [
-        int(k) for position, k in enumerate(candidates) if position == 0 or candidates[position - 1] != k - 1
-    ]
-    return [(int(out[k]) + 1, int(back[k]) + 1) for k in selected], [float(height[k]) for k in selected]

@@ -79,18 +79,13 @@ def _constant_finding(context: RecordContext, group: list[_ConstantRun], *, satu
     )
     if len(group) > 1:
         what += f", and {len(group) - 1} more times"
-    stretches = [(run.start, run.stop) for run in group]
-    if saturated:
-        advice = "this is the end of the sensor's range: move the sensor, or keep the tests within its range"
-        return context.finding(
-            "saturated sensor",
-            Severity.WARNING,
-            what + ", and again at other times",
-            advice,
-            intervals=stretches,
-        )
+    check, severity = "stuck sensor", Severity.FAULT
     advice = "check the sensor and its cable; cut this interval out, or repeat the test"
-    return context.finding("stuck sensor", Severity.FAULT, what, advice, intervals=stretches)
+    if saturated:
+        check, severity, what = "saturated sensor", Severity.WARNING, f"{what}, and again at other times"
+        advice = "this is the end of the sensor's range: move the sensor, or keep the tests within its range"
+    stretches = [(run.start, run.stop) for run in group]
+    return context.finding(check, severity, what, advice, intervals=stretches)
 
 
 def _constant_runs(context: RecordContext) -> list[_ConstantRun]:
@@ -187,7 +182,7 @@ class _SignalRange(NamedTuple):
         return UNITS[self.unit].factor
 
 
-class _PlausibilityRule(NamedTuple):
+class _Rule(NamedTuple):
     """Condition of an implausible range, and its probable cause."""
 
     dimension: str
@@ -211,51 +206,42 @@ FEWEST_TO_COMPARE = 3  # tests of a direction (chosen)
 OVERDRIVE = 1.05  # of full scale, 5 % tolerance (chosen)
 
 PLAUSIBILITY_RULES = (
-    _PlausibilityRule(
+    _Rule(
         "length", lambda r: r.peak_to_peak * r.si > LONGEST_M, Severity.FAULT, "a smaller unit, such as mm"
     ),
-    _PlausibilityRule(
+    _Rule(
         "length",
         lambda r: 0 < r.peak_to_peak * r.si < SHORTEST_M,
         Severity.WARNING,
         "a larger unit, such as m, or a piston that does not move",
     ),
-    _PlausibilityRule("angle", lambda r: r.unit == "rad" and r.largest > 2 * pi, Severity.WARNING, "degrees"),
-    _PlausibilityRule(
+    _Rule("angle", lambda r: r.unit == "rad" and r.largest > 2 * pi, Severity.WARNING, "degrees"),
+    _Rule(
         "angle",
         lambda r: r.unit == "deg" and r.largest > 360.0,
         Severity.WARNING,
         "a raw count, or an encoder overflow",
     ),
-    _PlausibilityRule(
-        "angle", lambda r: r.unit == "deg" and 0 < r.largest <= 2 * pi, Severity.NOTE, "radians"
-    ),
-    _PlausibilityRule(
-        "ratio", lambda r: r.unit == "1" and r.largest > OVERDRIVE, Severity.WARNING, "percent"
-    ),
-    _PlausibilityRule(
+    _Rule("angle", lambda r: r.unit == "deg" and 0 < r.largest <= 2 * pi, Severity.NOTE, "radians"),
+    _Rule("ratio", lambda r: r.unit == "1" and r.largest > OVERDRIVE, Severity.WARNING, "percent"),
+    _Rule(
         "ratio",
         lambda r: r.unit == "percent" and r.largest > 100 * OVERDRIVE,
         Severity.WARNING,
         "a raw count, not percent",
     ),
-    _PlausibilityRule(
+    _Rule(
         "ratio",
         lambda r: r.unit == "percent" and 0 < r.largest <= 1,
         Severity.WARNING,
         "a fraction, in unit 1",
     ),
-    _PlausibilityRule(
-        "current", lambda r: r.unit == "A" and r.largest > LARGEST_CURRENT_A, Severity.FAULT, "mA"
+    _Rule("current", lambda r: r.unit == "A" and r.largest > LARGEST_CURRENT_A, Severity.FAULT, "mA"),
+    _Rule(
+        "current", lambda r: r.unit == "mA" and 0 < r.largest <= SMALLEST_MILLIAMPERE, Severity.WARNING, "A"
     ),
-    _PlausibilityRule(
-        "current",
-        lambda r: r.unit == "mA" and 0 < r.largest <= SMALLEST_MILLIAMPERE,
-        Severity.WARNING,
-        "A",
-    ),
-    _PlausibilityRule("voltage", lambda r: r.largest > LARGEST_VOLTAGE_V, Severity.WARNING, "mV"),
-    _PlausibilityRule(
+    _Rule("voltage", lambda r: r.largest > LARGEST_VOLTAGE_V, Severity.WARNING, "mV"),
+    _Rule(
         "pressure",
         lambda r: r.highest * r.si > LARGEST_PRESSURE_PA or r.lowest * r.si < LOWEST_PRESSURE_PA,
         Severity.WARNING,
@@ -276,7 +262,10 @@ def units(context: CampaignContext) -> list[AuditFinding]:
     findings = []
     roles = dict.fromkeys(role for test in context.tests for role in test.record.signals)
     for role in roles:
-        signal_range = _signal_range(context, role)
+        present = [test.record for test in context.tests if role in test.record.signals]
+        lowest = float(min(record.signals[role].min() for record in present))
+        highest = float(max(record.signals[role].max() for record in present))
+        signal_range = _SignalRange(lowest, highest, present[0].units[role])
         is_covariate = role != DISPLACEMENT and role not in COMMAND.values()
         for rule in PLAUSIBILITY_RULES:
             if rule.dimension != UNITS[signal_range.unit].dimension or not rule.applies(signal_range):
@@ -326,26 +315,13 @@ def units_of_logs(context: CampaignContext) -> list[AuditFinding]:
             if abs(np.log(ratio / factor)) > np.log(UNIT_TOLERANCE):
                 continue
             share = f"{factor:.4g} times {'less' if gain < usual else 'more'} than"
-            findings.append(
-                test.finding(
-                    "units",
-                    Severity.FAULT,
-                    f"the piston travels about {share} in most {direction} tests for the same command: the "
-                    f"log is probably not in {test.quality.unit}, or its command has another unit",
-                    "put logs in other units into a folder of their own, with a campaign.toml for them",
-                )
+            what = (
+                f"the piston travels about {share} in most {direction} tests for the same command: the "
+                f"log is probably not in {test.quality.unit}, or its command has another unit"
             )
+            advice = "put logs in other units into a folder of their own, with a campaign.toml for them"
+            findings.append(test.finding("units", Severity.FAULT, what, advice))
     return findings
-
-
-def _signal_range(context: CampaignContext, role: str) -> _SignalRange:
-    present = [test.record for test in context.tests if role in test.record.signals]
-    arrays = [record.signals[role] for record in present]
-    return _SignalRange(
-        float(min(array.min() for array in arrays)),
-        float(max(array.max() for array in arrays)),
-        present[0].units[role],
-    )
 
 
 def _finding(role: str, signal_range: _SignalRange, severity: Severity, judgement: str) -> AuditFinding:
@@ -353,12 +329,5 @@ def _finding(role: str, signal_range: _SignalRange, severity: Severity, judgemen
         f"{role} ranges from {signal_range.lowest:.4g} to {signal_range.highest:.4g} in all logs "
         f"and has the unit '{signal_range.unit}': {judgement}"
     )
-    return AuditFinding(
-        "units",
-        severity,
-        "",
-        role,
-        (),
-        what,
-        "check the unit of this column in campaign.toml; no value was converted",
-    )
+    advice = "check the unit of this column in campaign.toml; no value was converted"
+    return AuditFinding("units", severity, "", role, (), what, advice)

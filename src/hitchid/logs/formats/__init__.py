@@ -20,7 +20,8 @@ class Format(NamedTuple):
     Attributes:
         name: unique among all formats.
         suffixes: endings of its files, in lower case, each with its point.
-        read: reads the selected channels.
+        read: reads the selected channels; raises `LogError` where the file is damaged or was cut short, a
+            channel is missing, or a library is not installed.
         write: writes columns of equal length, name to numbers; None for a format that is only read.
         libraries: third-party modules that read it; such files are read in a process of their own.
         is_log: whether a file with one of the endings is a log of this format, for endings that others use
@@ -79,20 +80,17 @@ def known_format(path: Path) -> Format | None:
 
     Where several formats share an ending, those of other packages come first.
     """
-    name = path.name.lower()
     for log_format in reversed(tuple(formats().values())):
-        if name.endswith(log_format.suffixes) and _claims(log_format, path):
+        if not path.name.lower().endswith(log_format.suffixes):
+            continue
+        if log_format.is_log is None or not path.is_file():
             return log_format
+        try:
+            if log_format.is_log(path):
+                return log_format
+        except OSError:
+            return log_format  # its reader says why the file cannot be read
     return None
-
-
-def _claims(log_format: Format, path: Path) -> bool:
-    if log_format.is_log is None or not path.is_file():
-        return True
-    try:
-        return log_format.is_log(path)
-    except OSError:
-        return True  # its reader says why the file cannot be read
 
 
 def format_of(path: Path) -> Format:

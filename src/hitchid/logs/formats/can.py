@@ -27,12 +27,7 @@ FD_LENGTHS = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64])
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the selected signals of a CAN log; `read_bus` describes their names.
-
-    Raises:
-        LogError: the log or a DBC file is missing or unreadable, a signal is missing, or python-can or
-            cantools is not installed.
-    """
+    """Read the selected signals of a CAN log; `read_bus` describes their names."""
     library = import_optional("can", "can", path)
     notices: list[str] = []
     readers = {".blf": _read_blf, ".log": _read_candump}
@@ -136,11 +131,7 @@ def _to_frame(message: Any) -> Frame:
 
 
 def is_bus_log(path: Path) -> bool:
-    """Return whether an MDF file holds frames of a CAN bus.
-
-    Raises:
-        LogError: the file is damaged or was cut short, or asammdf is not installed.
-    """
+    """Return whether an MDF file holds frames of a CAN bus."""
     asammdf = import_optional("asammdf", "mdf", path)
     with as_log_errors(path, MF4_KIND), open_mdf(path, asammdf, []) as log:
         return any(
@@ -149,12 +140,7 @@ def is_bus_log(path: Path) -> bool:
 
 
 def read_mf4(path: Path, selection: ChannelSelection) -> Content:
-    """Read the selected signals of a CAN bus log in MF4; `read_bus` describes their names.
-
-    Raises:
-        LogError: the log or a DBC file is missing or unreadable, a signal is missing, or asammdf or cantools
-            is not installed.
-    """
+    """Read the selected signals of a CAN bus log in MF4; `read_bus` describes their names."""
     asammdf = import_optional("asammdf", "mdf", path)
     notices: list[str] = []
     content = read_bus(_read_frames(path, asammdf, notices), path, selection)

@@ -1,7 +1,7 @@
 """From the frames of a log to the requested channels."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -51,12 +51,15 @@ def read_bus(frames: Iterable[Frame], source: Path, selection: ChannelSelection)
     databases define one id, the requested name decides.
 
     Messages of several frames (J1939 transport protocol) are not reassembled.
-
-    Raises:
-        LogError: a database is missing or unreadable, or a requested signal is missing or never valid.
     """
     databases = read_databases(selection.databases, source)
-    traffic = collect_streams(frames, databases.messages, _message_filter(selection))
+    requested_names = {name.rpartition("/")[2] for name in (selection.time, *(selection.signals or ()))}
+
+    def may_hold_requested(message: CanMessage) -> bool:
+        return selection.signals is None or any(s.name in requested_names for s in message.signals)
+
+    # The frames of all other messages, most of a busy bus, are counted and dropped.
+    traffic = collect_streams(frames, databases.messages, may_hold_requested)
     if not traffic.frame_count:
         raise LogError(source, "holds no CAN frames with data")
     locations, aliases = _channel_names(traffic.streams)
@@ -71,20 +74,10 @@ def read_bus(frames: Iterable[Frame], source: Path, selection: ChannelSelection)
     return Content(source, channels, (*databases.notices, *notices))
 
 
-def _message_filter(selection: ChannelSelection) -> Callable[[CanMessage], bool]:
-    """Return a function that returns whether a message may hold a requested signal."""
-    if selection.signals is None:
-        return lambda _: True
-    signal_names = {requested.rpartition("/")[2] for requested in (selection.time, *selection.signals)}
-    return lambda message: any(signal.name in signal_names for signal in message.signals)
-
-
 def _channel_names(streams: Sequence[Stream]) -> tuple[dict[str, _SignalLocation], dict[str, list[str]]]:
     """Return full name to location, and every alias to the full names it may stand for."""
-    buses = Counter(name for name, _ in {(bus_stream.message.name, bus_stream.bus) for bus_stream in streams})
-    nodes = Counter(
-        name for name, _ in {(node_stream.message.name, node_stream.node) for node_stream in streams}
-    )
+    buses = Counter(name for name, _ in {(stream.message.name, stream.bus) for stream in streams})
+    nodes = Counter(name for name, _ in {(stream.message.name, stream.node) for stream in streams})
     locations: dict[str, _SignalLocation] = {}
     aliases: dict[str, list[str]] = {}
     for stream in streams:
@@ -110,14 +103,12 @@ def _match_requested(
     if selection.signals is None:
         return match_channels(source, names, selection, has_clocks=True)
     matches: dict[str, str] = {}
-    for requested in dict.fromkeys((selection.time, *selection.signals)):
+    all_requested = dict.fromkeys((selection.time, *selection.signals))
+    for requested in all_requested:
         candidates = aliases.get(requested, [])
         if len(candidates) > 1:
-            raise LogError(
-                source,
-                f"several channels have this name; use the full name: {format_names(candidates)}",
-                column=requested,
-            )
+            problem = f"several channels have this name; use the full name: {format_names(candidates)}"
+            raise LogError(source, problem, column=requested)
         if candidates:
             matches[requested] = candidates[0]
         elif requested != selection.time and requested not in {name.rpartition("/")[2] for name in names}:
@@ -126,11 +117,7 @@ def _match_requested(
         signals=tuple(requested for requested in selection.signals if requested not in matches)
     )
     matches |= match_channels(source, names, remaining, has_clocks=True)
-    return {
-        requested: matches[requested]
-        for requested in dict.fromkeys((selection.time, *selection.signals))
-        if requested in matches
-    }
+    return {requested: matches[requested] for requested in all_requested if requested in matches}
 
 
 def _check_not_in_log(

@@ -78,23 +78,14 @@ class CanMessage(NamedTuple):
 
 
 class Databases(NamedTuple):
-    """Content of several databases.
-
-    Attributes:
-        messages: their messages, each once.
-        notices: messages on databases with errors.
-    """
+    """Messages of several databases, each once, and notices on databases with errors."""
 
     messages: tuple[CanMessage, ...]
     notices: tuple[str, ...]
 
 
 def read_databases(paths: Sequence[Path], source: Path) -> Databases:
-    """Read the DBC files that belong to a log.
-
-    Raises:
-        LogError: there are none, cantools is missing, or one cannot be read.
-    """
+    """Read the DBC files that belong to a log."""
     if not paths:
         problem = (
             "a DBC file is required: put it in the log's folder or name it in campaign.toml, [can] databases"

@@ -31,23 +31,14 @@ FRAME_KINDS = frozenset((1, 86, 100, 101, 73))
 
 
 class Inventory(NamedTuple):
-    """Content of a BLF log.
-
-    Attributes:
-        frame_count: number of frames, error frames included.
-        closed: whether the recording was closed; only then can a missing end be detected.
-    """
+    """Frames of a BLF log, error frames included, and whether it was closed: else no missing end is seen."""
 
     frame_count: int
     closed: bool
 
 
 def inventory(path: Path) -> Inventory:
-    """Count the frames of a BLF log and check its structure.
-
-    Raises:
-        LogError: the file is not a BLF log, was cut short, or has no object where one is expected.
-    """
+    """Count the frames of a BLF log and check its structure."""
     size = path.stat().st_size
     with path.open("rb") as stream:
         start = stream.read(HEADER.size)

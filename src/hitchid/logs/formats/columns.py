@@ -55,11 +55,7 @@ class Columns:
         self._without_count = 0
 
     def add(self, lines: Sequence[int], columns: Sequence[Sequence[str]]) -> None:
-        """Add a block: the lines of its rows, and the cells of each column.
-
-        Raises:
-            LogError: the numbers have several decimal signs.
-        """
+        """Add a block: the lines of its rows, and the cells of each column."""
         cells = dict(zip(self._values, columns, strict=True))
         if not self._lines:
             for name, column in cells.items():
@@ -103,11 +99,7 @@ class Columns:
         return LogError(self._path, expected(cell.strip(), self._numerals.sign), line=line, column=name)
 
     def content(self, units: Mapping[str, str | None]) -> Content:
-        """Return the columns: name to numbers, stamps as seconds since the first.
-
-        Raises:
-            LogError: there is no sample; a column holds no numbers, or more than a few cells that are none.
-        """
+        """Return the columns: name to numbers, stamps as seconds since the first."""
         row_count = sum(size for size, _ in self._lines)
         if not row_count:
             empty = LogError(self._path, "there are no samples below the header line", line=self._header)

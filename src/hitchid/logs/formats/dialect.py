@@ -93,11 +93,7 @@ class Dialect(NamedTuple):
 
 
 def encoding_of(head: bytes, source: Path) -> str:
-    """Return the encoding of a text from its first bytes.
-
-    Raises:
-        LogError: the bytes are not text.
-    """
+    """Return the encoding of a text from its first bytes."""
     for mark, encoding in BYTE_ORDER_MARKS.items():
         if head.startswith(mark):
             return encoding
@@ -125,9 +121,6 @@ def dialect_of(text: str, source: Path, requested: Sequence[str] = ()) -> Dialec
 
     The separator is the one that yields most numbers or stamps. The header is one of the ten lines above the
     first two lines of numbers: the one with most of the requested names, else of the samples' width.
-
-    Raises:
-        LogError: the log is empty, or has no header line.
     """
     first_line = next((line for line in text.split("\n") if line.strip()), "").strip()
     if not first_line:

@@ -41,12 +41,7 @@ class _Column(NamedTuple):
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the selected datasets of an HDF5 or NetCDF file; the time is optional if each has a time scale.
-
-    Raises:
-        LogError: the file is damaged or was cut short, a dataset is missing or in another file, or h5py is
-            not installed.
-    """
+    """Read the selected datasets of an HDF5 or NetCDF file; the time is optional if each has a time scale."""
     with as_log_errors(path, KIND), path.open("rb") as stream:
         if stream.read(3) == CLASSIC_MAGIC:
             return _read_classic(path, selection)
@@ -181,11 +176,7 @@ def _texts(value: object, count: int) -> list[str]:
 
 
 def read_dataset(path: Path, dataset: Any, name: str, part: str | int | None = None) -> np.ndarray:
-    """Return the stored numbers of a dataset, of one field or of one column.
-
-    Raises:
-        LogError: the dataset is in another file.
-    """
+    """Return the stored numbers of a dataset, of one field or of one column."""
     if is_external(dataset):
         raise LogError(path, "is a link to another file; expected the data in this file", column=name)
     if isinstance(part, int):
@@ -211,7 +202,14 @@ def _time_scale(dataset: Any) -> Any:
     """Return the time scale of a dataset, the dataset itself if it is a scale, or None."""
     if is_external(dataset):
         return None
-    for scale in _scales(dataset):
+    # From the attributes: HDF5's functions for scales crash the process on damaged files.
+    if _text(dataset.attrs.get("CLASS")) == "DIMENSION_SCALE":
+        scales = [dataset]
+    elif (references := dataset.attrs.get("DIMENSION_LIST")) is None:
+        scales = []
+    else:
+        scales = [dataset.file[reference] for reference in references[int(np.argmax(dataset.shape))]]
+    for scale in scales:
         if (
             not is_external(scale)
             and is_time(unit_attribute(scale.attrs))
@@ -219,15 +217,3 @@ def _time_scale(dataset: Any) -> Any:
         ):
             return scale if is_vector(scale.shape) and scale.dtype.kind in NUMERIC_KINDS else None
     return None
-
-
-def _scales(dataset: Any) -> list[Any]:
-    # From the attributes: HDF5's functions for scales crash the process on damaged files.
-    if _text(dataset.attrs.get("CLASS")) == "DIMENSION_SCALE":
-        return [dataset]
-    references = dataset.attrs.get("DIMENSION_LIST")
-    return (
-        []
-        if references is None
-        else [dataset.file[reference] for reference in references[int(np.argmax(dataset.shape))]]
-    )

@@ -18,11 +18,7 @@ DISTRIBUTIONS = {"can": "python-can", "nptdms": "npTDMS"}
 
 
 def import_optional(module: str, extra: str, path: Path, purpose: str = "read") -> ModuleType:
-    """Return an optional module, which an extra of this package installs, to `read` or `write` a file.
-
-    Raises:
-        LogError: the module is not installed.
-    """
+    """Return an optional module, which an extra of this package installs, to `read` or `write` a file."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -35,11 +31,7 @@ def import_optional(module: str, extra: str, path: Path, purpose: str = "read") 
 
 @contextmanager
 def as_log_errors(path: Path, kind: str) -> Iterator[None]:
-    """Turn any exception of a library into an error that names the file.
-
-    Raises:
-        LogError: the file cannot be read as `kind`.
-    """
+    """Turn any exception of a library into an error that names the file."""
     try:
         yield
     except (LogError, MemoryError):
@@ -52,11 +44,7 @@ def as_log_errors(path: Path, kind: str) -> Iterator[None]:
 def match_clocked_channels(
     source: Path, names: Sequence[str], selection: ChannelSelection, clocked: Collection[str]
 ) -> dict[str, str]:
-    """Return requested name to full name; the time is optional if all requested channels are `clocked`.
-
-    Raises:
-        LogError: a channel is missing or ambiguous.
-    """
+    """Return requested name to full name; the time is optional if all requested channels are `clocked`."""
     matches = match_channels(source, names, selection, has_clocks=True)
     if all(name in clocked for name in matches.values()):
         return matches

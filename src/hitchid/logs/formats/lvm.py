@@ -41,9 +41,6 @@ def read(path: Path, blocks: Iterable[str], selection: ChannelSelection) -> Cont
     The time is the column `X_Value` before a channel, else that of the first; without samples in it, time is
     counted from X0 in steps of Delta_X. Segments follow each other; where their times overlap, they start at
     the date and time of their headers.
-
-    Raises:
-        LogError: a channel is missing, the file holds no samples, or its segments have different channels.
     """
     columns, names, units = None, [], {}
     starts: list[tuple[int, float]] = []  # first line and start, s, of each segment

@@ -35,11 +35,7 @@ TIME = "time_s"  # name of the master channel of written files
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the selected channels of an MDF file; the time is that of each group's master.
-
-    Raises:
-        LogError: the file is damaged or was cut short, a channel is missing, or asammdf is not installed.
-    """
+    """Read the selected channels of an MDF file; the time is that of each group's master."""
     asammdf = import_optional("asammdf", "mdf", path)
     notices: list[str] = []
     with as_log_errors(path, KIND), open_mdf(path, asammdf, notices) as log:
@@ -57,12 +53,7 @@ def read(path: Path, selection: ChannelSelection) -> Content:
 
 
 def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns of doubles, each under a name that may end in its unit, on the clock `time_s`.
-
-    Raises:
-        LogError: asammdf is not installed.
-        InputError: there is no column `time_s`, or no other.
-    """
+    """Write columns of doubles, each under a name that may end in its unit, on the clock `time_s`."""
     if TIME not in columns or len(columns) < 2:
         raise InputError(f"expected a column '{TIME}' and one more, got {', '.join(columns) or 'none'}")
     asammdf = import_optional("asammdf", "mdf", path, purpose="write")

@@ -25,11 +25,7 @@ NOT_FINALIZED = "the recording was never finalized: read as far as it was writte
 
 @contextmanager
 def open_mdf(path: Path, asammdf: Any, notices: list[str]) -> Iterator[Any]:
-    """Open an MDF file with asammdf after a check; of one that was never finalized, a copy, with a notice.
-
-    Raises:
-        LogError: as `check_complete`.
-    """
+    """Open an MDF file with asammdf after a check; of one that was never finalized, a copy, with a notice."""
     is_finalized = check_complete(path)
     if not is_finalized:
         notices.append(NOT_FINALIZED)
@@ -44,10 +40,6 @@ def check_complete(path: Path) -> bool:
 
     Many loggers never finalize: the counts and lengths that they leave out follow from the file's size.
     Returned is whether the file was finalized.
-
-    Raises:
-        LogError: the file is not an MDF file, was cut short, has no block where a link points, or was never
-            finalized and is older than version 4.10, which has no rules for it.
     """
     with path.open("rb") as stream:
         identification = stream.read(IDENTIFICATION)
@@ -133,11 +125,7 @@ def holds_numbers(log: Any, group: int, index: int) -> bool:
 
 
 def physical_values(path: Path, log: Any, group: int, index: int) -> np.ndarray:
-    """Return the samples of a channel converted to physical numbers; NaN where they are marked invalid.
-
-    Raises:
-        LogError: the samples are converted by a formula.
-    """
+    """Return the samples of a channel converted to physical numbers; NaN where they are marked invalid."""
     channel = log.groups[group].channels[index]
     # With this option asammdf returns the invalidation bits; without it, it removes invalid samples.
     raw, invalid = log.get(
@@ -151,11 +139,7 @@ def physical_values(path: Path, log: Any, group: int, index: int) -> np.ndarray:
 
 
 def virtual_master_values(path: Path, log: Any, group: int, index: int) -> np.ndarray:
-    """Return the samples of a master, computed from their index.
-
-    Raises:
-        LogError: the numbers are converted by a formula.
-    """
+    """Return the samples of a master, computed from their index."""
     data_group = log.groups[group]
     channel = data_group.channels[index]
     numbers = np.arange(data_group.channel_group.cycles_nr, dtype=np.float64)
@@ -171,11 +155,8 @@ def _convert(path: Path, log: Any, channel: Any, values: np.ndarray) -> np.ndarr
     blocks = [conversion, *_scales(conversion)]
     # asammdf may evaluate a formula as Python: a file must not execute code.
     if any(block.conversion_type in codes.formulas for block in blocks):
-        raise LogError(
-            path,
-            "is converted by a formula, which is not supported; choose another channel",
-            column=channel.name,
-        )
+        problem = "is converted by a formula, which is not supported; choose another channel"
+        raise LogError(path, problem, column=channel.name)
     if conversion.conversion_type in codes.texts and len(blocks) == 1:
         return values  # numbers of states, whose names are text
     converted = np.asarray(conversion.convert(values))

@@ -17,11 +17,7 @@ TICKS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # 1/s of the units of Arrow
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the selected columns of a Parquet file; time stamps become seconds since the first.
-
-    Raises:
-        LogError: the file is damaged, a column is missing or not unique, or pyarrow is not installed.
-    """
+    """Read the selected columns of a Parquet file; time stamps become seconds since the first."""
     arrow, parquet = (import_optional(module, "parquet", path) for module in ("pyarrow", "pyarrow.parquet"))
     # From the open file: Arrow opens no path that is not UTF-8.
     with (
@@ -44,11 +40,7 @@ def read(path: Path, selection: ChannelSelection) -> Content:
 
 
 def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns of doubles, each under a name that may end in its unit, with a checksum for each page.
-
-    Raises:
-        LogError: pyarrow is not installed.
-    """
+    """Write columns of doubles, each under a name that may end in its unit, with a checksum for each page."""
     arrow, parquet = (
         import_optional(module, "parquet", path, purpose="write") for module in ("pyarrow", "pyarrow.parquet")
     )
@@ -73,22 +65,18 @@ def _holds_numbers(arrow: Any, kind: Any) -> bool:
 
 
 def _channel(arrow: Any, field: Any, column: Any) -> LogChannel:
+    """Return the numbers of a column; time stamps as seconds since the first, durations as seconds."""
     types = arrow.types
     if types.is_dictionary(field.type):
         column = column.cast(field.type.value_type)
     if types.is_timestamp(column.type) or types.is_duration(column.type):
-        return LogChannel(_seconds(arrow, column), "s")
+        valid = column.is_valid().to_numpy()
+        ticks = column.cast(arrow.int64()).fill_null(0).to_numpy()
+        if valid.any() and types.is_timestamp(column.type):
+            ticks = ticks - ticks[np.argmax(valid)]  # as integers: a double cannot represent a date in ns
+        return LogChannel(np.where(valid, ticks / TICKS[column.type.unit], np.nan), "s")
     metadata = field.metadata or {}
     unit = unit_text(metadata.get(b"unit")) or unit_text(metadata.get(b"units"))
     if types.is_boolean(column.type):
         column = column.cast(arrow.uint8())
     return LogChannel(floats(column.cast(arrow.float64(), safe=False).to_numpy()), unit)
-
-
-def _seconds(arrow: Any, column: Any) -> np.ndarray:
-    """Return time stamps as seconds since the first, durations as seconds; NaN where missing."""
-    valid = column.is_valid().to_numpy()
-    ticks = column.cast(arrow.int64()).fill_null(0).to_numpy()
-    if valid.any() and arrow.types.is_timestamp(column.type):
-        ticks = ticks - ticks[np.argmax(valid)]  # as integers: a double cannot represent a date in ns
-    return np.where(valid, ticks / TICKS[column.type.unit], np.nan)

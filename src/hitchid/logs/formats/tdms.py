@@ -39,11 +39,7 @@ class _Waveform(NamedTuple):
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the selected channels of a TDMS file; the time is optional if all are waveforms.
-
-    Raises:
-        LogError: the file is damaged or was cut short, a channel is missing, or npTDMS is not installed.
-    """
+    """Read the selected channels of a TDMS file; the time is optional if all are waveforms."""
     nptdms = import_optional("nptdms", "tdms", path)
     with as_log_errors(path, KIND), path.open("rb") as stream:
         data_bytes = _count_data_bytes(path, stream)
@@ -63,11 +59,7 @@ def read(path: Path, selection: ChannelSelection) -> Content:
 
 
 def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns of doubles, each under a name that may end in its unit, as channels of the group `log`.
-
-    Raises:
-        LogError: npTDMS is not installed.
-    """
+    """Write columns of doubles, each under a name that may end in its unit, as channels of one group."""
     nptdms = import_optional("nptdms", "tdms", path, purpose="write")
     with nptdms.TdmsWriter(path) as writer:
         writer.write_segment(
@@ -192,11 +184,8 @@ def _clocks(path: Path, waveforms: Mapping[str, _Waveform]) -> dict[str, np.ndar
     # LabVIEW writes 1904 for a start that was not set.
     without_start = [name for name, waveform in waveforms.items() if not waveform.start[0]]
     if without_start and len(without_start) < len(waveforms):
-        raise LogError(
-            path,
-            "has no start time although other channels have one; expected all or none",
-            column=without_start[0],
-        )
+        problem = "has no start time although other channels have one; expected all or none"
+        raise LogError(path, problem, column=without_start[0])
     clocks: dict[_Waveform, np.ndarray] = {}
     for waveform in waveforms.values():
         delay = [start - first_start for start, first_start in zip(waveform.start, min(starts), strict=True)]

@@ -41,10 +41,6 @@ def read(path: Path, selection: ChannelSelection) -> Content:
 
     Time stamps in text become seconds since the first, missing values NaN. Lines without a sample, such as
     comments, are left out.
-
-    Raises:
-        LogError: the file cannot be read, a column is missing, a cell is not a number, or decimal and
-            thousands separators cannot be told apart; the message names line and column.
     """
     blocks = _blocks(path)
     head = next(blocks, "")
@@ -188,20 +184,13 @@ def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     """Write columns of equal length as a CSV log, gzip-compressed where the name ends in `.gz`.
 
     Numbers are written with the fewest digits that read back as the same number.
-
-    Raises:
-        OSError: the file cannot be written.
     """
     rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
     write_rows(path, list(columns), [[repr(value) for value in row] for row in rows])
 
 
 def write_rows(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Write a header and rows of text as a CSV log, gzip-compressed where the name ends in `.gz`.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Write a header and rows of text as a CSV log, gzip-compressed where the name ends in `.gz`."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerows([spreadsheet_text(cell) for cell in row] for row in (header, *rows))
@@ -233,12 +222,7 @@ def _blocks_from_line(blocks: Iterable[str], first: int) -> Iterator[tuple[int, 
 
 
 def _blocks(path: Path) -> Iterator[str]:
-    """Return the text of a plain or gzip-compressed log in blocks of whole lines.
-
-    Raises:
-        LogError: the file cannot be read, is damaged, unpacks to too many bytes, is not text, or has a line
-            that is too long for a sample.
-    """
+    """Return the text of a plain or gzip-compressed log in blocks of whole lines."""
     rest, first = "", 1
     try:
         if path.suffix.lower() == ".gz":

@@ -29,11 +29,7 @@ StructValue = Any  # of scipy.io.loadmat, which has no types
 
 @contextmanager
 def open_log(path: Path) -> Iterator[tuple[Mapping[str, object], LoadVariables]]:
-    """Open a MATLAB file: the tree of its content, and a function that loads variables of plain numbers.
-
-    Raises:
-        LogError: the file is damaged or was cut short.
-    """
+    """Open a MATLAB file: the tree of its content, and a function that loads variables of plain numbers."""
     from scipy.io import whosmat  # not at the top: a quarter of a second
 
     with as_log_errors(path, KIND):
@@ -51,11 +47,7 @@ def open_log(path: Path) -> Iterator[tuple[Mapping[str, object], LoadVariables]]
 
 
 def check_sizes(path: Path) -> None:
-    """Check that the parts of a file of version 5 to 7 lie within it and are no larger than their bytes.
-
-    Raises:
-        LogError: a part ends beyond the file, or declares more than its bytes can hold.
-    """
+    """Check that the parts of a file of version 5 to 7 lie within it and are no larger than their bytes."""
     with path.open("rb") as stream:
         header = stream.read(HEADER)
         order = {b"IM": "<", b"MI": ">"}.get(header[126:128])
@@ -115,12 +107,8 @@ def _node(value: Any) -> object:
     if type(value) is not np.ndarray:  # objects and functions are subclasses of the array
         return None
     if value.dtype.names is not None:
-        structs = [_fields(struct, value.dtype.names) for struct in value.ravel()]
+        structs = [{name: _node(struct[name]) for name in value.dtype.names} for struct in value.ravel()]
         return structs[0] if len(structs) == 1 else structs
     if value.dtype.kind == "U":
         return str(value[0]) if value.size == 1 else None
     return Leaf(value.shape, lambda _: value) if value.dtype.kind in "fiub" else None
-
-
-def _fields(struct: Any, names: Sequence[str]) -> dict[str, object]:
-    return {name: _node(struct[name]) for name in names}
