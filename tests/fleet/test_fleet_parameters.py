@@ -69,27 +69,16 @@ def test_what_has_no_value_or_no_error_is_missing_and_nothing_else(changes, name
     dead_zone_error=st.floats(1e-5, 10),
     tests=st.integers(6, 100),
 )
-def test_every_covariance_is_positive_definite(correlation, gain_error, dead_zone_error, tests):
-    row = fleet_rows.figures(
-        "lifting",
-        correlation=correlation,
-        gain_error=gain_error,
-        dead_zone_error=dead_zone_error,
-        tests=tests,
-    )
-    covariance = estimates_of_row(row)[1]
+def test_every_covariance_is_positive_definite(**figures):
+    covariance = estimates_of_row(fleet_rows.figures("lifting", **figures))[1]
     scale = np.sqrt(np.diagonal(covariance))
     assert np.linalg.eigvalsh(covariance / np.outer(scale, scale))[0] > 0
 
 
-def test_kind_and_units_come_from_the_row():
-    row = fleet_rows.fleet(1)[0]
-    kind = kind_of(row, "lowering")
+def test_units_come_from_the_row_and_differences_of_logarithms_are_relative():
+    kind = kind_of(fleet_rows.fleet(1)[0], "lowering")
     assert kind == Kind(fleet_rows.STRUCTURE, "mm", "A")
     assert [kind.unit(name) for name in NAMES] == ["mm/s/A", "A", "s", "%"]
-
-
-def test_differences_of_logarithms_are_relative():
     gain, delay = FleetParameter("lifting", GAIN, "mm/s/A"), FleetParameter("lifting", DELAY, "s")
     assert gain.difference(np.log(0.88)) == pytest.approx(-0.12)
     assert gain.value(np.log(50.0)) == pytest.approx(50.0)

@@ -74,7 +74,7 @@ def test_a_name_that_looks_like_a_pattern_is_read_as_it_is(store, name):
     wanted = [f"{name}/log.csv", "rig 1/log.csv"]
     assert store.read_many(wanted) == {wanted[0]: name.encode(), wanted[1]: b"rig 1"}
     assert store.read_many(wanted[:1]) == {wanted[0]: name.encode()}
-    assert {file.name for file in store.files()} == {f"{each}/log.csv" for each in (*others, name)}
+    assert {file.name for file in store.files()} == {f"{folder}/log.csv" for folder in (*others, name)}
 
 
 def test_a_listing_tells_that_a_file_has_changed(store):
@@ -88,12 +88,8 @@ def test_a_listing_tells_that_a_file_has_changed(store):
     assert second.modified
 
 
-def test_an_empty_store_has_no_files(store):
-    assert store.files() == ()
-    assert store.below("rows").files() == ()
-
-
-def test_a_missing_file_is_an_error_that_names_it(store):
+def test_an_empty_store_has_no_files_and_a_missing_one_is_named(store):
+    assert store.files() == store.below("rows").files() == ()
     with pytest.raises(StoreError, match=r"rows/a\.json: cannot read"):
         store.read("rows/a.json")
 
@@ -112,13 +108,6 @@ def test_what_is_being_written_is_hidden(tmp_path):
     store.write("rows/a.json", b"row")
     (tmp_path / "rows" / ".b.json-unfinished").write_bytes(b"")
     assert [file.name for file in store.files()] == ["rows/a.json"]
-
-
-def test_the_last_file_of_a_folder_is_written_last(monkeypatch, store):
-    written = []
-    monkeypatch.setattr(Store, "write", lambda self, name, content: written.append(name))
-    store.write_folder("m", {"model.json": b"", "a": b"", "z": b""}, last="model.json")
-    assert written == ["m/a", "m/z", "m/model.json"]
 
 
 @pytest.mark.long
