@@ -8,23 +8,6 @@ import time
 import urllib.parse
 from contextlib import contextmanager
 
-BRIEFEST = """
-[lifting]
-structure = "integrator-first-order"
-
-[lowering]
-structure = "integrator-first-order"
-
-[search]
-evaluations = 300
-compare = false
-
-[training]
-epochs = 3
-free_run = false
-baselines = false
-"""
-
 
 @contextmanager
 def served(project, *options):
@@ -74,6 +57,18 @@ class Operator:
         self.option_speed.select_option(str(speed))
         self.page.get_by_test_id("connect").click()
         self.wait_for_state("idle", 60)
+
+    def fill_plan(self, **fields):
+        """Fill the fields of a campaign's plan."""
+        for field, value in fields.items():
+            self.page.get_by_test_id(f"plan-{field}").fill(str(value))
+
+    def run(self):
+        """Arm and start the plan that is shown."""
+        self.arm.click()
+        self.wait_for_state("armed")
+        self.start.click()
+        self.wait_for_state("running")
 
     @property
     def outside(self):
