@@ -13,14 +13,19 @@ from contextlib import contextmanager
 def served(project, *options):
     """Yield the link and the process of a server of a project folder."""
     command = [sys.executable, "-m", "hitchid", "hmi", str(project), "--quiet", *options]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}  # for `fake_bench`
     process = subprocess.Popen(  # noqa: S603 - this Python, the command under test
-        command, stdout=subprocess.PIPE, text=True, cwd=project
+        command, stdout=subprocess.PIPE, text=True, cwd=project, env=environment
     )
     try:
         yield process.stdout.readline().strip(), process
     finally:
         process.terminate()
-        process.wait(20)
+        try:
+            process.wait(20)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            raise
 
 
 class Operator:

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from operated import Operator, served
 
-import fake_bench
 import handmade
 import hitchid
 from browser import chromium
@@ -44,7 +43,6 @@ def project(tmp_path_factory):
     changes = Changes(gain=math.log(1.1), dead_zone=0.02)
     learned = [Event(kind, 60.0, 9, "lifting", "", changes) for kind in ("promoted", "moved")]
     (folder / "changes" / "hand.jsonl").write_text("".join(f"{event.to_json()}\n" for event in learned))
-    (folder / "fake_bench.py").write_text(Path(fake_bench.__file__).read_text())
     return folder
 
 
