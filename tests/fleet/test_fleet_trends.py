@@ -63,7 +63,7 @@ def test_two_times_have_a_slope_and_one_has_none():
     assert np.isnan(trends.fleet_slopes[0])
 
 
-def test_one_time_has_no_slope_and_an_unknown_one_is_refused():
+def test_one_time_has_no_slope():
     machines, times, estimates, covariances = identifications(np.random.default_rng(6), [0.0])
     trends = fit_trends(machines, np.full(5, 100.0), estimates, covariances)
     assert np.isnan(trends.slopes).all()

@@ -18,7 +18,7 @@ def balanced(machines=40):
     return values, np.tile(ERROR, (machines, 1, 1))
 
 
-def test_a_balanced_fleet_has_the_sample_s_covariance_and_shrunken_values():
+def test_a_balanced_fleet_has_the_sample_s_covariance():
     values, errors = balanced()
     hierarchy = fit_hierarchy(values, errors, robust=False)
     sample = np.cov(values.T)
@@ -45,7 +45,7 @@ def test_no_spread_is_zero_and_every_machine_has_the_mean():
     assert hierarchy.values == pytest.approx(np.tile(hierarchy.mean, (40, 1)), abs=1e-12)
 
 
-def test_one_parameter_without_spread_does_not_hide_that_of_the_other():
+def test_no_spread_of_one_parameter_hides_another():
     fleet = simulated_fleet(np.random.default_rng(1), 200, mean=MEAN, between=((4.0, 0.0), (0.0, 0.0)))
     hierarchy = fit_hierarchy(fleet.estimates, fleet.covariances)
     # Four standard deviations of the robust variance of 200 machines, of 4 + 1 with their errors.
@@ -53,7 +53,7 @@ def test_one_parameter_without_spread_does_not_hide_that_of_the_other():
     assert hierarchy.between[1, 1] < 4 * np.sqrt(2 / 0.88 / 200)
 
 
-def test_the_covariance_is_that_of_a_normal_fleet_in_small_units():
+def test_the_covariance_is_that_of_a_normal_fleet():
     scales, between = np.outer(UNITS, UNITS), []
     for seed in range(12):
         fleet = simulated_fleet(np.random.default_rng(seed), 150, mean=MEAN, between=BETWEEN, correlation=0.6)

@@ -115,7 +115,7 @@ def test_copied_logs_are_recognised_by_their_content(logs, results, tmp_path):
     assert fleets.model_digests(own) == fleets.model_digests(results)
 
 
-def test_bad_campaigns_are_rows_with_their_error_and_harm_no_other(logs, results, tmp_path):
+def test_bad_campaigns_are_rows_with_their_error(logs, results, tmp_path):
     mixed, own = shutil.copytree(logs, tmp_path / "logs"), shutil.copytree(results, tmp_path / "results")
     (mixed / "empty").mkdir()
     (mixed / "damaged").mkdir()

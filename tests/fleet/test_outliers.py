@@ -30,7 +30,7 @@ def test_p_values_of_sound_machines_are_uniform(machines, errors):
 
 
 @pytest.mark.parametrize("spread", [0.0, 0.5])
-def test_a_spread_within_the_errors_makes_no_p_value_too_small(spread):
+def test_a_spread_within_errors_makes_no_small_p_values(spread):
     assert_uniform_below(25, spread, (0.5, 1.5), draws=4000)
 
 

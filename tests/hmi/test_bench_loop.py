@@ -60,7 +60,7 @@ def test_a_bench_that_is_connected_or_armed_sends_zero(make_bench, write_test):
     assert set(bench.plant.sent) == {CLOSED}
 
 
-def test_a_run_sends_the_commands_of_its_file_then_zero_and_is_idle(make_bench, write_test, tmp_path):
+def test_a_run_sends_the_commands_of_its_file_then_zero(make_bench, write_test, tmp_path):
     bench = make_bench()
     bench.run(**write_test(lifting=0.6, duration_s=0.5))
     bench.tick(100)
@@ -71,7 +71,7 @@ def test_a_run_sends_the_commands_of_its_file_then_zero_and_is_idle(make_bench, 
     assert header[0] == "time_s"
 
 
-def test_the_command_of_a_row_acts_from_its_sample_to_the_next(make_bench, write_test, tmp_path):
+def test_the_command_of_a_row_acts_until_the_next(make_bench, write_test, tmp_path):
     bench = make_bench(Plant(dead_zones=(0.0, 0.0)))
     plan = write_test()
     times = 0.03 * np.arange(60)
@@ -145,7 +145,7 @@ def bench_with(patch, plant, commands):
         (np.zeros(3), "shape|broadcast"),
     ],
 )
-def test_a_program_that_errs_closes_the_valves_in_the_same_sample(monkeypatch, wanted, reason):
+def test_a_program_that_errs_closes_the_valves_at_once(monkeypatch, wanted, reason):
     plant = Plant()
     bench = bench_with(monkeypatch, plant, [np.array([0.6, 0.0])] * 3 + [wanted] + [np.array([0.6, 0.0])] * 9)
     bench.tick(4)
@@ -171,7 +171,7 @@ def test_an_armed_bench_whose_page_is_gone_is_stopped(armed):
         armed.ask("start")
 
 
-def test_a_stop_takes_effect_at_the_next_sample_and_closes_the_log(running, tmp_path, monkeypatch):
+def test_a_stop_takes_effect_at_once_and_closes_the_log(running, tmp_path, monkeypatch):
     sent, sent_at_close, close = running.plant.sent, [], Recorder.close
     assert sent[-1] == (0.6, 0.0)
     monkeypatch.setattr(Recorder, "close", lambda self: (sent_at_close.append(sent[-1]), close(self)))
@@ -239,7 +239,7 @@ def test_zero_is_the_last_command_before_a_source_is_closed(running, end):
 
 @pytest.mark.parametrize("raised", [InputError("bus off"), OSError("gone"), ZeroDivisionError("driver")])
 @pytest.mark.parametrize("call", ["read", "write"])
-def test_a_source_that_raises_is_lost_and_the_loop_goes_on(running, monkeypatch, call, raised):
+def test_of_a_source_that_raises_the_loop_goes_on(running, monkeypatch, call, raised):
     def fail(*_):
         raise raised
 
@@ -286,7 +286,7 @@ def test_a_full_disk_stops_the_run_and_closes_its_logs(
 
 
 @pytest.mark.parametrize("frozen", ["mkdir", "open", "write"])
-def test_a_frozen_disk_holds_up_no_tick_and_ends_the_run(make_bench, write_test, monkeypatch, frozen):
+def test_a_frozen_disk_ends_the_run_without_a_wait(make_bench, write_test, monkeypatch, frozen):
     plan, now_s, thawed = write_test(), [0.0], threading.Event()
     monkeypatch.setattr(disk.time, "monotonic", lambda: now_s[0])
     frozen_call = getattr(os, frozen)
@@ -351,7 +351,7 @@ def wait_until(condition, longest_s=10.0):
     return condition()
 
 
-def test_a_disk_that_is_full_at_the_end_of_a_log_latches(make_bench, write_test, monkeypatch):
+def test_a_disk_full_at_the_end_of_a_log_latches(make_bench, write_test, monkeypatch):
     bench = make_bench()
     bench.run(**write_test(duration_s=0.1))
     bench.tick(5)
@@ -480,7 +480,7 @@ def test_a_faster_bench_stops_at_the_sample_of_a_fault(fast, write_test, fault):
 
 
 @pytest.mark.parametrize("speed", [0, -1, 21, "fast", 1.5, None, True])
-def test_a_speed_that_is_none_is_refused_and_nothing_is_opened(make_bench, speed):
+def test_a_speed_that_is_none_opens_nothing(make_bench, speed):
     bench = make_bench()
     bench.ask("disconnect")
     with pytest.raises(InputError, match="speed"):

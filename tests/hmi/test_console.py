@@ -38,7 +38,7 @@ def messages_to(client, kind=None):
         ("idle", "udp:5005", None, "zero was the last that it commanded"),
     ],
 )
-def test_of_a_loop_that_has_ended_pages_hear_what_is_known(tmp_path, state, source, zero_sent, reason):
+def test_pages_hear_what_is_known_of_an_ended_loop(tmp_path, state, source, zero_sent, reason):
     console = Console(Settings(tmp_path))
     page = console.clients.add("session")
     console._status |= {"state": state, "source": {**SOURCE, "name": source}}
@@ -104,7 +104,7 @@ def test_a_model_whose_process_dies_says_so(beside):
     assert beside.model is None
 
 
-def test_a_model_that_cannot_be_used_says_why_and_no_more(beside):
+def test_a_model_that_cannot_be_used_says_why_once(beside):
     beside._child.on_message(json.dumps({"type": "error", "error": "another sampling time"}).encode())
     beside._child.on_end()
     assert problems(beside) == ["monitor: another sampling time"]

@@ -129,7 +129,7 @@ def test_what_is_no_progress_is_a_line(text):
     assert list(job.lines) == [text]
 
 
-def test_lines_and_curves_are_bounded_and_keep_first_trend_and_last():
+def test_lines_and_curves_are_bounded_and_keep_the_last():
     job = new_job()
     for k in range(1, 20 * POINTS):
         job.take_line(line(0.5, k, rmse=float(k)))
@@ -244,7 +244,7 @@ def test_the_command_line_tells_its_progress_as_json(capsys, monkeypatch):
     assert (job.fraction, job.stage, list(job.lines)) == (0.7, "training", [])
 
 
-def test_what_has_been_reached_is_a_line_and_tells_of_a_result():
+def test_what_has_been_reached_is_a_line_and_a_result():
     job = new_job()
     assert not job.take_line(line(0.1, 1, rmse=1.0))
     update = ProgressUpdate("physics model", 0.5, figures={}, message="physics model saved: RMSE 0.3 mm")

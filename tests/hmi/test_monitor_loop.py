@@ -36,7 +36,7 @@ def loop():
     return MonitorLoop(MODEL, A_MM, STEP_S)
 
 
-def test_the_free_run_is_the_model_s_and_nan_where_it_has_no_band(loop):
+def test_the_free_run_is_the_model_s_without_a_band(loop):
     rows = samples(40)
     free_run = predicted(loop, rows)
     np.testing.assert_array_equal(free_run[:, 0], rows[:, 0])
@@ -62,7 +62,7 @@ def test_other_units_and_blocks_of_the_source_give_the_same(loop):
 
 
 @pytest.mark.parametrize("before", [8, 10])
-def test_after_a_gap_the_free_run_starts_anew_at_the_measurement(loop, before):
+def test_after_a_gap_the_free_run_starts_anew(loop, before):
     predicted(loop, samples(before))
     again = predicted(loop, samples(8, begin=before + 50, displacement=30.0))
     assert again[0, 0] == pytest.approx(STEP_S * (before + 50))
@@ -96,7 +96,7 @@ def test_a_source_that_does_not_fit_the_model_is_refused(units, step_s, message)
         MonitorLoop(MODEL, units, step_s)
 
 
-def test_a_band_lies_around_the_free_run_and_scales_with_the_unit():
+def test_a_band_lies_around_the_free_run_in_its_unit():
     model, rows = handmade.with_bands(MODEL, "lifting", "lowering"), samples(8)
     in_mm = predicted(MonitorLoop(model, A_MM, STEP_S), rows)
     assert np.all(in_mm[1:, 2] < in_mm[1:, 1])
@@ -190,7 +190,7 @@ def test_it_learns_from_every_sample_and_lost_ones_are_missing(adapted):
     np.testing.assert_allclose(fed, np.concatenate([rows[:6, 1:], lost, rows[6:, 1:]]), rtol=1e-12)
 
 
-def test_the_page_hears_once_what_is_in_use_and_what_happened(adapted):
+def test_the_page_hears_once_of_what_happened(adapted):
     loop, fake = adapted(("mA", "mm"))
     assert loop.news_of_adaptation()["state"] == "on"
     assert loop.news_of_adaptation() is None
@@ -218,7 +218,7 @@ def test_the_page_hears_once_what_is_in_use_and_what_happened(adapted):
     assert reasons == {"proved better", "7", "8"}
 
 
-def test_an_adapted_model_is_saved_once_and_its_log_gone_on_from(adapted, tmp_path):
+def test_an_adapted_model_is_saved_once(adapted, tmp_path):
     loop, fake = adapted()
     fake.due = [event("learned"), event("promoted")]
     loop.advance(samples(4))

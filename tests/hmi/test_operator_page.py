@@ -107,7 +107,7 @@ def test_every_section_fits_and_is_accessible(operator, scheme):
     page.set_viewport_size({"width": 1280, "height": 800})
 
 
-def test_an_adapted_model_is_shown_saved_and_rolled_back_by_keyboard(operator, project):
+def test_an_adapted_model_is_saved_and_rolled_back_by_keyboard(operator, project):
     page = operator.page
     operator.tab_bench.click()
     operator.monitor_model.select_option("models/hand")

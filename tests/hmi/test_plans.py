@@ -50,7 +50,7 @@ JSON = st.recursive(
         ),
     ],
 )
-def test_a_wrong_plan_is_refused_with_the_name_of_its_key(content, key):
+def test_a_wrong_plan_is_refused_with_its_key(content, key):
     with pytest.raises(InputError, match=rf"^plan: .*{key}"):
         read_plan(content)
 
@@ -178,7 +178,7 @@ def test_a_limits_file_is_read(tmp_path):
         ({"watchdog_s": "2"}, "watchdog_s"),
     ],
 )
-def test_a_wrong_limits_file_is_refused_with_the_name_of_its_key(tmp_path, changed, key):
+def test_a_wrong_limits_file_is_refused_with_its_key(tmp_path, changed, key):
     with pytest.raises(SettingsError, match=key):
         read_limits(limits_file(tmp_path, **changed))
 

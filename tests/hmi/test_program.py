@@ -73,7 +73,7 @@ def test_a_move_drives_one_valve_and_settles_with_both_closed(start, target):
     assert not commands[-round(SETTLE_S / STEP_S) :].any()
 
 
-def test_a_move_that_is_blocked_ends_and_a_campaign_says_what_to_raise():
+def test_a_blocked_move_ends_and_says_what_to_raise():
     blocked = {"dead_zones": (2.0, 2.0)}
     steps, _, reached = carried_out(move(100.0, 200.0, LIMITS, STEP_S), Plant(100.0, **blocked))
     assert reached == 100.0
@@ -102,7 +102,7 @@ def test_apply_returns_the_displacement_at_each_command():
 
 
 @pytest.mark.parametrize(("channel", "start"), [(0, 200.0), (1, 50.0)])
-def test_a_test_ends_near_the_end_of_travel_that_it_is_driven_to(channel, start):
+def test_a_test_ends_near_the_end_of_its_travel(channel, start):
     plant, commands = Plant(start), np.zeros((5000, 2))
     commands[:, channel] = LIMITS.commands[channel]
     steps, displacements, _ = carried_out(apply(start, commands, "log", LIMITS, STEP_S), plant)
@@ -113,7 +113,7 @@ def test_a_test_ends_near_the_end_of_travel_that_it_is_driven_to(channel, start)
     assert 0.0 < plant.displacement < STROKE
 
 
-def test_a_test_may_be_driven_away_from_an_end_but_no_further():
+def test_a_test_may_leave_an_end_but_no_further():
     away = np.tile([0.6, 0.0], (50, 1))
     steps, _, _ = carried_out(apply(0.0, away, "log", LIMITS, STEP_S), Plant(0.0))
     assert len(steps) == 50
@@ -191,7 +191,7 @@ def test_each_test_begins_at_rest_at_its_end_of_travel(done):
             assert displacements[begin] == pytest.approx(wanted, abs=near)
 
 
-def test_levels_of_the_tests_are_above_the_dead_zone_or_zero(done):
+def test_levels_of_tests_are_above_the_dead_zone_or_zero(done):
     _, steps, _, ramps, _ = done
     for name, samples in logs_of(steps).items():
         direction = name.split("-")[0]

@@ -24,7 +24,7 @@ def root(tmp_path):
     return root
 
 
-def test_a_file_of_the_project_is_found_also_by_a_link_to_it(root, tmp_path):
+def test_a_link_to_the_project_leads_to_its_files(root, tmp_path):
     (tmp_path / "link").symlink_to(root)
     for project_folder in (root, tmp_path / "link"):
         assert inside(project_folder, "uploads/a.csv").read_text() == "a"

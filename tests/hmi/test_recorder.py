@@ -66,7 +66,7 @@ def test_every_sample_is_there_once(tmp_path_factory, begin, sizes, values):
     np.testing.assert_allclose(rows[:, 1:], np.tile(values, (len(rows), 1)), rtol=10.0 ** (1 - DIGITS))
 
 
-def test_the_columns_are_read_by_the_command_line_and_gaps_are_empty(tmp_path):
+def test_the_columns_are_those_of_the_command_line(tmp_path):
     log = recorder_in(tmp_path)
     log.append([Reading(3.0, (0.5, float("nan"), float("nan")))])
     log.close()
@@ -149,7 +149,7 @@ def test_a_full_disk_leaves_whole_lines(tmp_path):
     assert {line.count(",") for line in lines_of(path)[1]} == {3}
 
 
-def test_nothing_waits_for_a_frozen_disk_and_all_is_written_later(tmp_path, monkeypatch):
+def test_nothing_waits_for_a_frozen_disk_that_writes_later(tmp_path, monkeypatch):
     thawed, disk = threading.Event(), Disk()
     write, fsync = os.write, os.fsync
     monkeypatch.setattr(recorder.os, "write", lambda *given: thawed.wait(60) and write(*given))

@@ -160,7 +160,7 @@ def server_lives(session):
     assert json.loads(content)["folder"] == "project"
 
 
-def test_a_link_can_be_used_once_and_gives_a_safe_cookie(session):
+def test_a_link_gives_a_safe_cookie_once(session):
     assert session.opened(session.token) is None
     token = session.new_token()
     assert len(token) >= 40
@@ -593,7 +593,7 @@ def test_a_viewer_can_stop_but_nothing_else(session):
     assert len({page for _, page in logged if page}) == 2
 
 
-def test_a_page_that_does_not_read_does_not_hold_up_the_others(session):
+def test_a_page_that_does_not_read_holds_up_no_other(session):
     with session.page() as operator, session.page(), session.page():
         run(operator, "fast", speed=20)
         before, newest, end_s = session.memory_mb(), 0.0, time.monotonic() + 2.0
@@ -617,7 +617,7 @@ def test_the_loop_stops_when_the_operator_s_page_falls_silent(session):
         done(operator, "reset", "disconnect")
 
 
-def test_a_killed_bench_loop_is_told_and_another_can_be_started(session):
+def test_after_a_killed_bench_loop_another_can_be_started(session):
     with session.page() as operator:
         run(operator, "killed")
         (bench,) = session.children("bench_process")
@@ -630,7 +630,7 @@ def test_a_killed_bench_loop_is_told_and_another_can_be_started(session):
         done(operator, "disconnect")
 
 
-def test_a_bench_loop_that_was_frozen_and_goes_on_is_stopped(session):
+def test_a_bench_loop_that_was_frozen_is_stopped(session):
     with session.page() as operator:
         run(operator, "frozen")
         (bench,) = session.children("bench_process")
@@ -644,7 +644,7 @@ def test_a_bench_loop_that_was_frozen_and_goes_on_is_stopped(session):
         done(operator, "reset", "disconnect")
 
 
-def test_a_killed_server_takes_the_bench_loop_along_and_leaves_the_log(tmp_path):
+def test_a_killed_server_takes_the_bench_loop_along(tmp_path):
     with serving(tmp_path / "project") as session, session.page() as operator:
         assert asked(operator, "connect", source="fake_bench:Plant") is None
         assert asked(operator, "record", on=True) is None

@@ -119,7 +119,7 @@ def test_a_value_that_is_no_number_is_missing(value):
     assert np.isnan(opened(line(0, value) + b"\n").read()[0].values[2])
 
 
-def test_samples_out_of_order_are_left_out_and_an_end_is_a_lost_source():
+def test_samples_out_of_order_are_left_out():
     source = opened(b"\n".join(line(k) for k in (0, 1, 1, 0, 2)) + b"\n")
     assert times(source.read()) == [0, 1, 2]
     with pytest.raises(InputError, match="lines: the input has ended; connect again"):
@@ -190,7 +190,7 @@ def test_datagrams_are_samples_and_answered_to_their_sender(udp):
     assert json.loads(peer.recv(1000)) == {"lifting_command": 0.0, "lowering_command": 0.5}
 
 
-def test_a_sender_that_is_faster_than_the_loop_is_not_read_late(udp):
+def test_a_sender_faster_than_the_loop_is_not_read_late(udp):
     source, peer = udp
     for k in range(100):
         peer.send(line(k))
@@ -207,7 +207,7 @@ def test_a_flood_of_datagrams_ends_each_read(udp):
     assert time.monotonic() - begin_s < 0.5
 
 
-def test_a_port_is_of_this_machine_alone_and_of_one_source(udp):
+def test_a_port_is_of_one_source_on_this_machine(udp):
     transport = udp[0]._transport
     assert transport._socket.getsockname()[0] == "127.0.0.1"
     with pytest.raises(InputError, match="choose a free port"):
@@ -329,7 +329,7 @@ def frame(number, *words):
     return can.Message(arbitration_id=number, data=data, is_extended_id=False)
 
 
-def test_the_newest_values_on_a_bus_are_a_sample_for_a_while(can_bus, monkeypatch):
+def test_the_newest_values_on_a_bus_are_a_sample(can_bus, monkeypatch):
     source, peer = can_bus
     assert np.isnan(source.read()[0].values).all()
     for hitch in (10_000, 12_345):

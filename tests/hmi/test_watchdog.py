@@ -70,7 +70,7 @@ def test_a_killed_loop_leaves_closed_valves_and_the_server_hears(wire):
 
 
 @pytest.mark.parametrize("hangs", [False, True])
-def test_a_source_that_takes_no_zero_is_said_or_ends_the_watchdog(wire, hangs):
+def test_a_source_without_a_zero_is_said_or_ends_it(wire, hangs):
     def fail():
         if hangs:
             time.sleep(NEVER_S)
@@ -82,7 +82,7 @@ def test_a_source_that_takes_no_zero_is_said_or_ends_the_watchdog(wire, hangs):
     assert ended(watchdog) != hangs
 
 
-def test_a_silent_loop_is_sent_zero_for_and_hears_of_it(wire):
+def test_a_silent_loop_hears_that_zero_was_sent(wire):
     watchdog = Watchdog(wire.zero, 0.02, wire.say)
     assert wire.taken(wire.read)[:1] == b"0"  # this process stands still meanwhile, as one that is frozen
     while watchdog.alive():  # until its word has arrived
@@ -139,7 +139,7 @@ def test_a_run_is_over_once_the_watchdog_had_to_act(make_bench, write_test, wire
     assert set(bench.plant.sent[-20:]) == {(0.0, 0.0)}
 
 
-def test_a_server_that_freezes_within_a_message_is_not_waited_for():
+def test_a_server_frozen_within_a_message_is_not_waited_for():
     own, other = socket.socketpair()
     link = Link(Connection(own.detach()))
     message = json.dumps({"type": "server_alive", "at_s": 1.0}).encode()

@@ -100,7 +100,7 @@ def test_a_running_model_follows_until_learning_ends(replayed):
 
 
 @pytest.mark.long
-def test_adapted_parameters_stay_after_a_restart_and_after_an_early_sample(monkeypatch):
+def test_adapted_parameters_stay_after_a_restart(monkeypatch):
     """The state of a model with covariates has the parameters at its load."""
     model, load = SCHEDULED, {"pressure": 150.0}
     changed = changed_model(model, {LIFTING: Changes(0.2), LOWERING: Changes(-0.2)})
@@ -146,7 +146,7 @@ def test_an_output_does_not_wait_for_what_its_sample_teaches(monkeypatch):
     adaptation.finish()
 
 
-def test_a_model_that_follows_predicts_better_than_one_that_does_not(replayed):
+def test_a_model_that_follows_predicts_better(replayed):
     late = slice(8 * len(STROKES[0].displacement), None)
     commands, measured = COMMANDS[late], DISPLACEMENT[late]
     errors = [
@@ -156,7 +156,7 @@ def test_a_model_that_follows_predicts_better_than_one_that_does_not(replayed):
     assert errors[0] < 0.5 * errors[1]
 
 
-def test_a_stroke_is_sent_bit_for_bit_and_an_adapted_model_not_at_all():
+def test_a_stroke_is_sent_bit_for_bit():
     stroke = STROKES[3]._replace(displacement=np.where(STROKES[3].commands[:, 1] > 0, np.nan, -0.1))
     again = stroke_of(stroke_message(stroke))
     assert again[:3] == stroke[:3]

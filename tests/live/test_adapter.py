@@ -128,7 +128,7 @@ def test_a_single_stroke_far_from_the_others_is_refused_afterwards(adapter):
     assert state.changes == {mode: Changes() for mode in DIRECTIONS}
 
 
-def test_a_sudden_change_is_promoted_with_the_stroke_after_the_first_one(adapter):
+def test_a_sudden_change_is_promoted_with_its_second_stroke(adapter):
     strokes = machine.strokes(12, seed=5, scatter=SCATTER, changed_at=8, gain=SUDDEN_GAIN)
     states, happened = learned(adapter, strokes)
     promoted = kinds(happened, PROMOTED)
@@ -158,7 +158,7 @@ def promotions(adapter, levels, speed):
     return [event.stroke for event in kinds(learned(adapter, strokes)[1], PROMOTED)]
 
 
-def test_at_one_level_a_change_is_promoted_unless_the_speed_is_bounded(adapter):
+def test_at_one_level_a_change_is_promoted_later(adapter):
     assert promotions(adapter, [0.3, 0.4], lambda level: 1.3)[:1] == [6]
     assert promotions(adapter, [0.3] * 7, lambda level: 1.3)[:1] == [10]
     # A starved pump: each level has the same speed, here that of 0.22 A.
@@ -166,7 +166,7 @@ def test_at_one_level_a_change_is_promoted_unless_the_speed_is_bounded(adapter):
     assert promotions(adapter, levels, lambda level: 0.22 / level) == []
 
 
-def test_the_share_outside_the_band_is_told_where_there_are_bands(adapter, run):
+def test_the_share_outside_is_a_figure_of_bands(adapter, run):
     shares = [event.figures["outside"] for event in kinds(run[1], LEARNED)]
     assert all(0 <= share <= 1 for share in shares)
     bare = Adapter(machine.MODEL, AdaptationSettings())
@@ -242,7 +242,7 @@ def test_the_log_says_what_is_in_use_after_each_stroke(run):
         assert state.changes == in_use
 
 
-def test_what_the_log_says_is_gone_on_from_bit_for_bit(adapter, run, tmp_path):
+def test_the_log_is_gone_on_from_bit_for_bit(adapter, run, tmp_path):
     states, happened = run
     lines = []
     for state, events in zip(states[1:], happened, strict=True):
@@ -369,7 +369,7 @@ FINITE = st.floats(allow_nan=False, allow_infinity=False)
     st.lists(st.integers(1, MOST_STROKES)),
     st.dictionaries(st.text(), FINITE),
 )
-def test_an_event_is_one_line_that_is_read_back_bit_for_bit(entry, changes, strokes, figures):
+def test_an_event_is_read_back_from_one_line_exactly(entry, changes, strokes, figures):
     event = Event(*entry, Changes(*changes), tuple(strokes), figures)
     line = event.to_json()
     assert len(line.splitlines()) == 1

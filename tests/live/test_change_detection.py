@@ -56,7 +56,7 @@ def test_the_time_between_false_alarms_is_that_of_the_settings(between):
 
 
 @pytest.mark.parametrize("between", [1.5, 100.0, SETTINGS.strokes_between_alarms])
-def test_no_single_stroke_raises_an_alarm_however_far_off_it_is(between):
+def test_no_single_stroke_raises_an_alarm(between):
     threshold = alarm_threshold(between)
     for error in (1e6, -1e6):
         assert ChangeDetector().advance(error).sum == LARGEST - REFERENCE < threshold
@@ -69,7 +69,7 @@ def test_alarms_rarer_than_those_that_were_simulated_are_refused():
 
 
 @pytest.mark.parametrize("shift", [2.5, -2.5, 4.0, 6.0])
-def test_a_change_is_found_after_as_many_strokes_as_its_size_needs(shift):
+def test_a_larger_change_is_found_after_fewer_strokes(shift):
     threshold = alarm_threshold(SETTINGS.strokes_between_alarms)
     detector = ChangeDetector()
     strokes = 0

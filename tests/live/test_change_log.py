@@ -26,7 +26,7 @@ def event(number):
     return Event("learned", 0.1 * number, number, "lifting", "", Changes(gain=0.1 * number))
 
 
-def test_events_are_in_the_file_at_once_and_the_next_log_goes_on_from_them(tmp_path):
+def test_the_next_log_goes_on_from_what_was_written(tmp_path):
     path = tmp_path / "new" / "changes.jsonl"
     log = ChangeLog(path, MODEL)
     assert log.earlier == ()
@@ -40,7 +40,7 @@ def test_events_are_in_the_file_at_once_and_the_next_log_goes_on_from_them(tmp_p
 
 
 @pytest.mark.parametrize("left", [1, 20, -1])
-def test_a_line_that_was_cut_is_left_out_and_spoils_no_later_one(tmp_path, left):
+def test_a_line_that_was_cut_spoils_no_later_one(tmp_path, left):
     path = tmp_path / "changes.jsonl"
     path.write_text(f"{event(1).to_json()}\n{event(2).to_json()[:left]}")
     log = ChangeLog(path, MODEL)
@@ -65,7 +65,7 @@ def test_what_is_no_change_log_is_refused_and_stays(tmp_path):
         ChangeLog(tmp_path / "huge", MODEL)
 
 
-def test_a_log_is_gone_on_from_with_its_own_model_alone(tmp_path):
+def test_a_log_is_gone_on_from_with_its_model(tmp_path):
     path = tmp_path / "changes.jsonl"
     log = ChangeLog(path, MODEL)
     log.write(event(1))
@@ -83,7 +83,7 @@ def test_a_log_is_gone_on_from_with_its_own_model_alone(tmp_path):
     assert read_events(path) == (event(1),)
 
 
-def test_a_log_of_an_earlier_version_has_no_model_and_is_gone_on_from(tmp_path):
+def test_a_log_without_a_model_is_gone_on_from(tmp_path):
     path = tmp_path / "changes.jsonl"
     path.write_text(f"{event(1).to_json()}\n")
     log = ChangeLog(path, MODEL)
@@ -108,7 +108,7 @@ def test_where_nothing_happened_what_was_there_is_left(tmp_path):
     assert sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")) == ["empty.jsonl", "mine"]
 
 
-def test_a_last_line_that_is_whole_counts_and_stays_though_it_has_no_end(tmp_path):
+def test_a_whole_last_line_counts_though_it_has_no_end(tmp_path):
     path = tmp_path / "changes.jsonl"
     path.write_text(f"{event(1).to_json()}\n\n{event(2).to_json()}")
     log = ChangeLog(path, MODEL)
@@ -197,7 +197,7 @@ def entry(gain=None, **others):
     ],
     ids=range(20),
 )
-def test_a_damaged_entry_is_refused_with_its_line_and_its_reason(tmp_path, line, reason):
+def test_a_damaged_entry_is_refused_with_line_and_reason(tmp_path, line, reason):
     path = tmp_path / "changes.jsonl"
     path.write_text(f'{{"model": "{"a" * 64}"}}\n{line}\n')
     with pytest.raises(InputError, match=f"line 2: is no entry of a change log: .*({reason})"):
@@ -274,7 +274,7 @@ def test_a_parameter_that_stays_or_few_strokes_have_no_limit():
     assert trends(change_log(0.0, 1.0, 1, strokes=4 * STROKES_APART), LIMITS) == ()
 
 
-def test_a_leak_is_a_trend_with_a_limit_where_one_is_given():
+def test_a_leak_is_a_trend_with_the_given_limit():
     # From 0.01 mm/s on, 0.002 mm/s more each hour, each known to 0.001 mm/s; refused strokes show it, too.
     rng, events = np.random.default_rng(4), []
     for number in range(1, 101):

@@ -15,7 +15,7 @@ ROUNDING = 200 * 4 * float(np.finfo(np.float64).eps)  # 200 sums of numbers up t
 
 
 @given(SHARES, st.floats(0.01, 0.5), st.floats(-LARGEST, LARGEST))
-def test_the_share_outside_is_within_its_bound_of_the_expected_one(shares, expected, start):
+def test_the_share_outside_is_near_the_expected_one(shares, expected, start):
     band, since = BandFactor(start), 0
     for number, outside in enumerate(shares, 1):
         band = band.advance(outside, expected)
@@ -43,7 +43,7 @@ def test_coverage_is_kept_through_a_change_of_the_errors(scales):
 
 @pytest.mark.parametrize("mode", DIRECTIONS)
 @pytest.mark.parametrize(("levels", "median"), [((0.3,), 0.3), ((0.1, 0.4, 0.4), 0.4)])
-def test_the_level_of_a_stroke_is_the_median_beyond_the_dead_zone(mode, levels, median):
+def test_a_level_is_the_median_beyond_the_dead_zone(mode, levels, median):
     assert level(MODEL.channels[mode], machine.stroke(mode, levels)) == pytest.approx(median, rel=1e-12)
 
 

@@ -77,7 +77,7 @@ def test_it_is_the_conditional_mean_and_covariance_of_the_changes(count, scatter
 
 
 @given(st.integers(0, 2**16), st.tuples(*3 * [st.floats(0.0, 2.0)]))
-def test_a_scatter_is_the_inverse_of_the_covariance_of_the_errors(seed, deviations):
+def test_a_scatter_is_the_inverse_of_the_errors_covariance(seed, deviations):
     rng = np.random.default_rng(seed)
     slopes, errors = rng.standard_normal((SAMPLES, 3)), rng.standard_normal(SAMPLES)
     scatter = np.diag(deviations) ** 2
@@ -114,7 +114,7 @@ def test_without_wandering_the_window_is_one_least_squares_fit():
         assert_near(estimate, mean, np.linalg.inv(information))
 
 
-def test_a_window_goes_on_as_if_no_stroke_had_left_it():
+def test_a_window_goes_on_as_if_none_had_left():
     _, measured, slopes = linear_strokes(seed=3)
     whole, first = window_estimate(linear_fits_at(measured, slopes), PRIOR, DRIFT, FREE)
     later, _ = window_estimate(linear_fits_at(measured[1:], slopes[1:]), first, DRIFT, FREE)
@@ -122,7 +122,7 @@ def test_a_window_goes_on_as_if_no_stroke_had_left_it():
 
 
 @pytest.mark.parametrize("free", [(True, False, False), (True, True, False), (False, True, True)])
-def test_what_is_not_free_stays_and_the_rest_is_fitted_beside_it(free):
+def test_what_is_not_free_stays_beside_the_rest(free):
     free = np.array(free)
     _, measured, slopes = linear_strokes(seed=4)
     prior = Estimate(PRIOR.mean, np.diag([1.0, 0.8, 0.5]))
@@ -139,7 +139,7 @@ def test_what_is_not_free_stays_and_the_rest_is_fitted_beside_it(free):
 
 
 @pytest.mark.parametrize("free", [(True, False, False), (True, False, True), (True, True, True)])
-def test_the_conditional_mean_is_that_of_least_squares_with_the_others_held(free):
+def test_the_conditional_mean_is_that_of_least_squares(free):
     free, held_at = np.array(free), np.array([9.0, 0.3, -0.2])
     precision = np.linalg.inv(PRIOR.covariance)
     shift = np.where(free, 0.0, held_at - PRIOR.mean)
@@ -168,7 +168,7 @@ def candidate(levels, gain, dead_zone=0.0):
     return changes, estimates.cautious(state, strokes, changes)
 
 
-def test_at_one_level_of_command_the_gain_moves_alone_and_all_the_way():
+def test_at_one_level_the_gain_moves_alone():
     changes, cautious = candidate([0.3] * 5, 1.1)
     # Five strokes of 1.5 % scatter against 3 % as identified: short by 1 / (1 + 5 · 2²) = 5 %; twice that.
     assert changes[0] == pytest.approx(np.log(1.1), rel=0.1)
@@ -177,13 +177,13 @@ def test_at_one_level_of_command_the_gain_moves_alone_and_all_the_way():
 
 
 @pytest.mark.parametrize("levels", [[0.3], [0.3] * 3, [0.3, 0.3, 0.3, 0.37, 0.3]])
-def test_where_other_commands_may_follow_a_gain_alone_goes_half_the_way(levels):
+def test_a_gain_alone_goes_half_the_way(levels):
     changes, cautious = candidate(levels, 1.1)
     assert changes[1] == 0.0
     np.testing.assert_array_equal(cautious, 0.5 * changes)
 
 
-def test_at_commands_that_differ_gain_and_dead_zone_are_told_apart():
+def test_commands_that_differ_tell_gain_and_dead_zone_apart():
     changes, cautious = candidate([0.1, 0.4] * 8, 1.1, 0.01)
     # Strokes of 1.5 % scatter in gain and 0.004 of the command in dead zone, 8 of each level: standard errors
     # of the gain 0.015 / √8 and of the dead zone below a half of its scatter; three of them.

@@ -115,7 +115,7 @@ def test_a_stroke_of_a_machine_that_changed_is_learned_from(adapter, mode, gain,
 
 
 @pytest.mark.parametrize("mode", DIRECTIONS)
-def test_a_short_travel_and_a_command_beyond_the_tests_are_refused(adapter, mode):
+def test_short_travels_and_commands_beyond_the_tests_are_refused(adapter, mode):
     def of_share(share):
         """Return the reason against a stroke with a share of the shortest travel."""
         travel = share * AdaptationSettings().shortest_travel * 120.0
@@ -176,7 +176,7 @@ def test_after_a_stroke_that_was_cut_nothing_is_a_fault(adapter):
     assert faults(adapter, strokes) == []
 
 
-def test_at_a_slow_sampling_time_what_is_before_rest_is_no_fault():
+def test_at_a_slow_sampling_time_nothing_is_a_fault():
     slow = Adapter(replace(MODEL, step_s=0.1), AdaptationSettings())
     commands = np.concatenate(
         [machine.command(mode, [0.5], 20, rest=10, settled=3) for mode in (*DIRECTIONS, *DIRECTIONS)]
@@ -238,13 +238,13 @@ CHANGES = st.builds(Changes, *(st.floats(*ends) for ends in zip(BOUNDS.lowest, B
 
 
 @pytest.mark.parametrize(("unit", "largest"), [("A", 0.15), ("mA", 0.5 * LARGEST), ("%", 0.5 * LARGEST)])
-def test_a_dead_zone_of_a_current_moves_by_at_most_150_milliamperes(unit, largest):
+def test_a_dead_zone_moves_by_at_most_150_milliamperes(unit, largest):
     bounds = Bounds.of(CHANNEL, SETTINGS, unit)
     assert bounds.highest[1] == pytest.approx(largest, rel=1e-15)
     assert bounds.lowest[1] == pytest.approx(-min(largest, DEAD_ZONES[LIFTING]), rel=1e-15)
 
 
-def test_what_may_not_move_or_is_beyond_is_named_and_held():
+def test_what_is_beyond_its_bounds_is_held():
     assert BOUNDS.allowed.tolist() == [True, True, False]  # an integrator has no lag
     only = Bounds.of(CHANNEL, AdaptationSettings(parameters=("gain",)), "A")
     assert only.allowed.tolist() == [True, False, False]

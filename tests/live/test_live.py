@@ -104,7 +104,7 @@ def test_samples_that_come_late_are_made_up_for(missed):
 
 
 @given(st.lists(st.floats(-1.4, 1.4), min_size=2, max_size=30), st.sampled_from([0.004, STEP_S, 0.017]))
-def test_every_sample_of_a_jittered_clock_counts_for_its_nearest_time(jitter, every_s):
+def test_every_sample_counts_for_its_nearest_time(jitter, every_s):
     live, stamps = Live(MODEL), np.sort(every_s * (np.arange(len(jitter)) + np.array(jitter)))
     stamps = np.concatenate([stamps[:1], stamps[1:][np.diff(stamps) > 0]])
     for stamp in stamps:
@@ -129,7 +129,7 @@ def test_of_two_samples_for_one_time_the_later_counts():
     assert (answer.displacement, answer.mode) == (expected.displacement, expected.mode)
 
 
-def test_lines_without_a_time_do_not_use_up_the_time_of_samples():
+def test_lines_without_a_time_use_up_none():
     live, other = pair()
     for k in range(20):
         live.process("")
@@ -212,7 +212,7 @@ def test_one_bad_stamp_costs_one_sample(ahead_s, measured):
     assert_alike(live, other, range(42, 50))
 
 
-def test_of_two_samples_that_overtake_the_later_stamp_is_left_out():
+def test_a_sample_that_overtook_another_is_left_out():
     live, other = running(3)
     assert said(live.process(full(0.05, lifting=0.0)), "late: 2 samples are missing before 0.05 s")
     answer = live.process(full(0.03))

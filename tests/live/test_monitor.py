@@ -80,7 +80,7 @@ def test_the_prediction_ahead_is_that_of_the_model(log, predictions):
         np.testing.assert_allclose(difference[held], 0, atol=ROUNDING)
 
 
-def test_a_restart_forgets_the_past_and_without_bands_widths_are_nan(log):
+def test_a_restart_forgets_the_past(log):
     model, blocks = handmade.hitch("integrator"), blocks_of(log)
     monitor = Monitor(model, 100.0, block=BLOCK)
     for block in blocks[:15]:

@@ -173,7 +173,7 @@ def test_commands_that_are_missing_count_as_none(errors_of):
     assert_alike(one, other, tolerance=0.0)
 
 
-def test_bands_of_a_free_run_are_as_wide_as_those_of_the_model(errors_of):
+def test_bands_are_as_wide_as_those_of_the_model(errors_of):
     model = handmade.with_bands(MODEL, LIFTING, LOWERING)
     bands, stroke = model.bands[LIFTING], machine.stroke(start=100.0)
     errors = StrokeErrors(model.channels[LIFTING], STEP_S, np.zeros(0), WINDOW, bands)
@@ -221,5 +221,5 @@ def test_another_gain_is_no_limit_whatever_the_levels(errors_of, gain, first, se
     assert limit_of(errors_of, machine.stroke(levels=(first, second), gain=gain, seed=seed)) == 1.0
 
 
-def test_at_one_level_a_limit_is_not_told_from_another_gain(errors_of):
+def test_at_one_level_a_limit_is_another_gain(errors_of):
     assert limit_of(errors_of, limited(machine.stroke(levels=(0.3, 0.3)), 0.7, seed=2)) == 1.0

@@ -97,7 +97,7 @@ def test_a_stroke_ends_after_the_time_to_settle():
     assert cutter.finish() == []
 
 
-def test_a_pause_does_not_end_a_stroke_but_a_turn_does():
+def test_a_turn_ends_a_stroke_and_a_pause_does_not():
     commands = commands_of(("lift", 40), ("rest", SETTLED - 1), ("lift", 40), ("rest", 7), ("lower", 40))
     up, down = cut(commands)
     turn = 80 + SETTLED - 1 + 7
