@@ -217,7 +217,8 @@ def scatter(comparison: FleetComparison) -> Figure:
             short_name(comparison.machines[machine]) if stands_out else ""
             for machine, stands_out in zip(machines, outlying, strict=True)
         ]
-        draw_machine_points(axes, *_in_units(points.T), outlying, names)
+        dead_zones, gains = _in_units(points.T)
+        draw_machine_points(axes, dead_zones, gains, outlying, names)
         of_model, fit = comparison.hierarchies.get(direction, ((), None))
         if fit is not None and set(columns.tolist()) <= set(of_model):
             places = np.array([of_model.index(column) for column in columns])
