@@ -5,6 +5,7 @@ from pathlib import Path
 from benches import write_bench
 from hitchid.identification import MultiStart
 
+MACHINES = 2
 QUICK = {
     "structure": {"lifting": "integrator", "lowering": "integrator"},
     "search": MultiStart(evaluations=60),

@@ -2,14 +2,13 @@
 
 from dataclasses import replace
 
-import fleets
 import numpy as np
 import pytest
 
 import hitchid
 from benches import binary_command, lagged_integrator
 from hitchid.errors import InputError
-from hitchid.fleet import Runner, Store, identify_fleet, ranked, read_rows, validate_fleet
+from hitchid.fleet import Runner, Store, ranked, read_rows, validate_fleet
 from hitchid.fleet.jobs import ValidationJob, drift_of, fit_change
 from hitchid.fleet.ledger import load_model
 from hitchid.fleet.store import machines_of
@@ -38,25 +37,18 @@ def lifting_tests(gain: float, dead_zone: float, seed: int, scatter: float = 0.0
     return records
 
 
-@pytest.fixture(scope="module")
-def identified(tmp_path_factory):
-    """Return the store of logs and of results, and the row and the model of one machine."""
-    folder = tmp_path_factory.mktemp("drift")
-    logs = fleets.write_fleet(folder / "logs", 1)
-    results = str(folder / "results")
-    identify_fleet(str(logs), results, settings=fleets.QUICK, runner=Runner(workers=1))
-    (row,) = read_rows(Store(results))
-    return logs, results, row, hitchid.load(load_model(Store(results), row, folder))
+@pytest.fixture
+def identified(results, tmp_path):
+    """Return the row and the model of one machine."""
+    row = read_rows(Store(str(results)))[0]
+    return row, hitchid.load(load_model(Store(str(results)), row, tmp_path))
 
 
 @pytest.mark.parametrize(("factor", "added"), [(1.1, 0.0), (0.9, 0.0), (1.0, 0.03), (1.15, -0.02)])
 def test_a_change_of_the_plant_is_found(identified, factor, added):
-    _, _, row, model = identified
-    drift = drift_of(
-        model.channels["lifting"],
-        lifting_tests(factor * GAIN, DEAD_ZONE + added, 1),
-        row.directions["lifting"],
-    )
+    row, model = identified
+    records = lifting_tests(factor * GAIN, DEAD_ZONE + added, 1)
+    drift = drift_of(model.channels["lifting"], records, row.directions["lifting"])
     # Four standard errors: one in 16 000 misses by more.
     assert abs(drift.gain_change - (factor - 1)) < 4 * drift.gain_change_error
     assert abs(drift.dead_zone_change - added) < 4 * drift.dead_zone_change_error
@@ -67,24 +59,24 @@ def test_a_change_of_the_plant_is_found(identified, factor, added):
 
 
 def test_errors_and_p_values_hold_where_nothing_changed(identified):
-    """The new tests' own errors: Hotelling's test at 10 % rejects about that share of 60 sets of tests."""
-    *_, model = identified
+    """The new tests' own errors: Hotelling's test at 10 % rejects about that share of 40 sets of tests."""
+    _, model = identified
     channel = model.channels["lifting"]
     many = [record for seed in range(100, 108) for record in lifting_tests(GAIN, DEAD_ZONE, seed)]
     reference = fit_change(channel, many)
     rejected = 0
-    for seed in range(60):
+    for seed in range(40):
         change = fit_change(channel, lifting_tests(GAIN, DEAD_ZONE, seed))
         theta, covariance = change.theta - reference.theta, change.covariance + reference.covariance
         statistic = theta @ np.linalg.solve(covariance, theta)
         rejected += statistic * (TESTS - 2) / (2 * (TESTS - 1)) > 3.463  # F(2, 6) at 10 %
-    # Binomial(60, 0.1): 0 to 15 with a probability of 99.9 %; few clusters make the covariance too small.
-    assert rejected <= 15
+    # Binomial(40, 0.1): 0 to 11 with a probability of 99.9 %; few clusters make the covariance too small.
+    assert rejected <= 11
 
 
 def test_a_dead_zone_that_the_commands_do_not_determine_stays(identified):
     """At one level of the command gain and dead zone have the same effect: the prior divides it."""
-    *_, model = identified
+    _, model = identified
     command = np.where(np.arange(400) < 5, 0.0, 0.6)
     one_level = []
     for record in lifting_tests(GAIN, DEAD_ZONE, 3):
@@ -98,7 +90,7 @@ def test_a_dead_zone_that_the_commands_do_not_determine_stays(identified):
 
 def test_few_tests_give_no_change(identified):
     """Three tests do not tell a change from the scatter between tests."""
-    _, _, row, model = identified
+    row, model = identified
     records = lifting_tests(1.3 * GAIN, DEAD_ZONE, 4)[:3]
     drift = drift_of(model.channels["lifting"], records, row.directions["lifting"])
     assert drift.gain_change is None
@@ -106,8 +98,8 @@ def test_few_tests_give_no_change(identified):
     assert drift.rmse > drift.reference_rmse
 
 
-def test_fleet_validate_ranks_the_machine_that_changed(identified, tmp_path):
-    _, results, row, _ = identified
+def test_fleet_validate_ranks_the_machine_that_changed(identified, results, tmp_path):
+    row, _ = identified
     new = tmp_path / "new"
     for name, gain in (("tractor-0", 1.2 * GAIN), ("unknown", GAIN)):
         folder = new / name
@@ -120,27 +112,29 @@ def test_fleet_validate_ranks_the_machine_that_changed(identified, tmp_path):
                 "displacement_mm": record.displacement,
             }
             write_table(folder / f"{record.name}.csv", columns)
-    result = validate_fleet(str(new), results, str(tmp_path / "out"), runner=Runner(workers=1))
-    by_name = {each.machine: each for each in result.rows}
+    result = validate_fleet(str(new), str(results), str(tmp_path / "out"), runner=Runner(workers=1))
+    by_name = {validation.machine: validation for validation in result.rows}
     changed = by_name["tractor-0"]
     assert changed.directions["lifting"].gain_change == pytest.approx(0.2, abs=0.05)
     assert changed.model == row.key
     assert by_name["unknown"].state == "failed"
     assert "has no model" in by_name["unknown"].message
-    assert [each.machine for each in ranked(result.rows)] == ["tractor-0", "unknown"]
-    again = validate_fleet(str(new), results, str(tmp_path / "out"))
+    assert [validation.machine for validation in ranked(result.rows)] == ["tractor-0", "unknown"]
+    again = validate_fleet(str(new), str(results), str(tmp_path / "out"))
     assert again.worked == 0
     assert again.rows == result.rows
 
 
 @pytest.mark.long
-def test_tests_that_were_identified_from_are_left_out(identified, tmp_path, monkeypatch):
-    logs, results, row, _ = identified
+def test_tests_of_the_identification_are_left_out(identified, logs, results, tmp_path, monkeypatch):
+    row, _ = identified
     monkeypatch.setattr("hitchid.fleet.task.prepare_worker", lambda: None)
-    job = ValidationJob(Store(str(logs)), Store(str(tmp_path)), Store(results), {row.machine: row})
+    job = ValidationJob(
+        Store(str(logs)), Store(str(tmp_path / "out")), Store(str(results)), {row.machine: row}
+    )
     run_task(job, machines_of(job.logs)[0])
     (validation,) = read_rows(job.results, row_type=type(job).row_type)
-    assert {each.tests for each in validation.directions.values()} == {1}  # the one that was held out
+    assert {drift.tests for drift in validation.directions.values()} == {1}  # the one that was held out
 
 
 def test_a_store_without_models_is_refused(tmp_path):

@@ -21,7 +21,7 @@ from hitchid.fleet.parameters import (
 TESTS, SCATTER, DRAWS = 9, 0.03, 4000
 
 
-def test_estimates_are_logarithms_of_gain_and_scatter_with_the_errors_of_the_row():
+def test_estimates_have_the_errors_of_the_row():
     values, covariance = estimates_of_row(fleet_rows.figures("lifting"))
     assert np.exp(values[NAMES.index(GAIN)]) == pytest.approx(fleet_rows.GAINS["lifting"])
     assert values[NAMES.index(DEAD_ZONE)] == fleet_rows.DEAD_ZONES["lifting"]
@@ -31,7 +31,7 @@ def test_estimates_are_logarithms_of_gain_and_scatter_with_the_errors_of_the_row
     assert covariance[0, 1] / deviations[0] / deviations[1] == pytest.approx(fleet_rows.CORRELATION)
 
 
-def test_the_logarithm_of_a_scatter_has_neither_bias_nor_another_error_than_stated():
+def test_the_logarithm_of_a_scatter_has_no_bias():
     rng = np.random.default_rng(1)
     drawn = SCATTER * np.std(rng.standard_normal((DRAWS, TESTS)), axis=1, ddof=1)
     rows = (fleet_rows.figures("lifting", load_scatter=scatter, tests=TESTS) for scatter in drawn)
@@ -55,7 +55,7 @@ def test_the_logarithm_of_a_scatter_has_neither_bias_nor_another_error_than_stat
         ({"tests": 5}, LOAD_SCATTER),
     ],
 )
-def test_what_has_no_value_or_no_error_is_missing_and_nothing_else(changes, name):
+def test_what_has_no_value_or_error_is_missing(changes, name):
     values, covariance = estimates_of_row(fleet_rows.figures("lifting", **changes))
     assert np.flatnonzero(np.isnan(values)).tolist() == [NAMES.index(name)]
     if name != GAIN or "gain_error" in changes:
@@ -69,27 +69,16 @@ def test_what_has_no_value_or_no_error_is_missing_and_nothing_else(changes, name
     dead_zone_error=st.floats(1e-5, 10),
     tests=st.integers(6, 100),
 )
-def test_every_covariance_is_positive_definite(correlation, gain_error, dead_zone_error, tests):
-    row = fleet_rows.figures(
-        "lifting",
-        correlation=correlation,
-        gain_error=gain_error,
-        dead_zone_error=dead_zone_error,
-        tests=tests,
-    )
-    covariance = estimates_of_row(row)[1]
+def test_every_covariance_is_positive_definite(**figures):
+    covariance = estimates_of_row(fleet_rows.figures("lifting", **figures))[1]
     scale = np.sqrt(np.diagonal(covariance))
     assert np.linalg.eigvalsh(covariance / np.outer(scale, scale))[0] > 0
 
 
-def test_kind_and_units_come_from_the_row():
-    row = fleet_rows.fleet(1)[0]
-    kind = kind_of(row, "lowering")
+def test_units_and_differences_are_of_the_row():
+    kind = kind_of(fleet_rows.fleet(1)[0], "lowering")
     assert kind == Kind(fleet_rows.STRUCTURE, "mm", "A")
     assert [kind.unit(name) for name in NAMES] == ["mm/s/A", "A", "s", "%"]
-
-
-def test_differences_of_logarithms_are_relative():
     gain, delay = FleetParameter("lifting", GAIN, "mm/s/A"), FleetParameter("lifting", DELAY, "s")
     assert gain.difference(np.log(0.88)) == pytest.approx(-0.12)
     assert gain.value(np.log(50.0)) == pytest.approx(50.0)

@@ -1,5 +1,6 @@
 """A fleet is identified: equal models whoever works on them, nothing lost, nothing done twice."""
 
+import contextlib
 import errno
 import gzip
 import json
@@ -18,6 +19,7 @@ from pathlib import Path
 import fleets
 import numpy as np
 import pytest
+from fleets import MACHINES
 
 import hitchid
 from hitchid.errors import InputError, OutputError
@@ -28,23 +30,7 @@ from hitchid.fleet.runners import MAX_DEATHS, check_scheduler, run_local, run_on
 from hitchid.fleet.store import machines_of
 from hitchid.fleet.task import UNFINISHED, run_task
 
-MACHINES = 3
 ONE = Runner(workers=1)
-
-
-@pytest.fixture(scope="module")
-def logs(tmp_path_factory):
-    """Return a store with logs of three machines, which no test changes."""
-    return fleets.write_fleet(tmp_path_factory.mktemp("fleet") / "logs", MACHINES)
-
-
-@pytest.fixture(scope="module")
-def results(logs, tmp_path_factory):
-    """Return a store of their results by one worker, which no test changes."""
-    folder = tmp_path_factory.mktemp("fleet") / "results"
-    result = identify_fleet(str(logs), str(folder), settings=fleets.QUICK, runner=ONE)
-    assert result.worked == MACHINES
-    return folder
 
 
 def job(logs, folder) -> IdentificationJob:
@@ -52,7 +38,7 @@ def job(logs, folder) -> IdentificationJob:
 
 
 @pytest.mark.parametrize("name", ["..x", ".hidden", "rig\n1", "rig\x1b[31m", "rig\udcff", "rig\u2028"])
-def test_a_name_that_no_machine_can_have_is_refused_before_any_work(name, logs, tmp_path):
+def test_an_impossible_name_is_refused_before_any_work(name, logs, tmp_path):
     fleet = tmp_path / "logs"
     shutil.copytree(logs / "tractor-0", fleet / "tractor-0")
     shutil.copytree(logs / "tractor-0", fleet / name)
@@ -76,7 +62,9 @@ def test_hidden_folders_without_logs_are_passed_over(logs, tmp_path):
 def test_models_do_not_depend_on_runner_workers_and_order(run, logs, results, tmp_path):
     own = job(logs, tmp_path)
     acknowledgements = list(run(own, machines_of(own.logs)[::-1], 2))
-    assert {each.machine for each in acknowledgements if each.state == "done"} == set(os.listdir(logs))
+    assert {
+        acknowledgement.machine for acknowledgement in acknowledgements if acknowledgement.state == "done"
+    } == set(os.listdir(logs))
     assert fleets.model_digests(tmp_path) == fleets.model_digests(results)
     rows = [replace(row, cost=None) for row in read_rows(own.results)]
     assert rows == [replace(row, cost=None) for row in read_rows(Store(str(results)))]
@@ -89,10 +77,11 @@ def test_a_row_has_the_figures_of_its_model(logs, results, tmp_path):
     assert model.provenance.digest == row.digest
     for direction, figures in row.directions.items():
         channel = model.channels[direction]
-        estimates = {each.name: each for each in model.uncertainty[direction].benchmark.parameters}
+        parameters = model.uncertainty[direction].benchmark.parameters
+        gain_error = next(estimate.error for estimate in parameters if estimate.name == "gain")
         assert figures.gain == float(channel.benchmark.values[0])
         assert figures.dead_zone == channel.dead_zone
-        assert figures.gain_error == pytest.approx(estimates["gain"].error / figures.gain)
+        assert figures.gain_error == pytest.approx(gain_error / figures.gain)
         assert 0 <= figures.correlation <= 1
         # The plant: 30 mm/(s A) behind 0.35 A; a lag of 0.08 s that an integrator lacks takes 3 % of 3 s.
         np.testing.assert_allclose(figures.gain, 30.0, rtol=0.06)
@@ -103,18 +92,16 @@ def test_a_row_has_the_figures_of_its_model(logs, results, tmp_path):
     assert row.cost.core_seconds > 0
 
 
-def test_a_finished_fleet_is_not_identified_again(logs, results):
+def test_a_finished_fleet_is_not_identified_again_unless_settings_differ(logs, results):
     before = {path: path.stat().st_mtime_ns for path in results.rglob("*")}
     result = identify_fleet(str(logs), str(results), settings=fleets.QUICK)
     assert result.worked == 0
     assert len(result.rows) == MACHINES
     assert before == {path: path.stat().st_mtime_ns for path in results.rglob("*")}
-
-
-def test_other_settings_are_another_job():
-    first, second = (identification_job("a", "b", {**fleets.QUICK, "seed": seed}) for seed in (0, 1))
-    assert first.settings_digest != second.settings_digest
-    assert first.settings_digest == identification_job("a", "b", fleets.QUICK).settings_digest
+    stamps = [
+        identification_job("a", "b", {**fleets.QUICK, **more}) for more in ({}, {"seed": 0}, {"seed": 1})
+    ]
+    assert stamps[0].settings_digest == stamps[1].settings_digest != stamps[2].settings_digest
 
 
 def test_copied_logs_are_recognised_by_their_content(logs, results, tmp_path):
@@ -128,7 +115,7 @@ def test_copied_logs_are_recognised_by_their_content(logs, results, tmp_path):
     assert fleets.model_digests(own) == fleets.model_digests(results)
 
 
-def test_bad_campaigns_are_rows_with_their_error_and_harm_no_other(logs, results, tmp_path):
+def test_bad_campaigns_are_rows_with_their_error(logs, results, tmp_path):
     mixed, own = shutil.copytree(logs, tmp_path / "logs"), shutil.copytree(results, tmp_path / "results")
     (mixed / "empty").mkdir()
     (mixed / "damaged").mkdir()
@@ -157,7 +144,7 @@ def test_failures_with_the_same_cause_are_one_group(results):
     assert result.counts == {"failed": 4, "done": 1}
 
 
-def test_a_full_temporary_folder_is_told_and_makes_no_failure(logs, tmp_path, monkeypatch):
+def test_a_full_temporary_folder_makes_no_failure(logs, tmp_path, monkeypatch):
     own = job(logs, tmp_path / "results")
     (machine, *_) = machines_of(own.logs)
     monkeypatch.setattr("hitchid.fleet.task.prepare_worker", lambda: None)
@@ -181,7 +168,7 @@ def test_a_full_temporary_folder_is_told_and_makes_no_failure(logs, tmp_path, mo
     assert read_rows(own.results) == ()
 
 
-def test_results_that_cannot_be_written_are_told_before_any_work(logs, tmp_path, monkeypatch):
+def test_results_that_cannot_be_written_are_refused_before_any_work(logs, tmp_path, monkeypatch):
     def write(self, *_):
         raise StoreError(f"{self.url}: read-only")
 
@@ -205,7 +192,7 @@ def test_a_killed_worker_loses_nothing_and_leaves_no_logs(logs, results, tmp_pat
             for process in killed:
                 os.kill(process.pid, signal.SIGKILL)
     assert killed
-    assert sorted(each.machine for each in acknowledgements) == sorted(os.listdir(logs))
+    assert sorted(acknowledgement.machine for acknowledgement in acknowledgements) == sorted(os.listdir(logs))
     assert fleets.model_digests(tmp_path / "results") == fleets.model_digests(results)
     assert list(temporary.iterdir()) == []
 
@@ -232,6 +219,15 @@ def test_a_machine_that_ends_every_worker_is_left_unfinished(logs, tmp_path):
 
 @pytest.mark.long
 def test_a_killed_run_goes_on_and_leaves_no_process(logs, results, tmp_path):
+    def is_running(session):
+        """Return whether a process of a session still runs."""
+        for path in Path("/proc").glob("[0-9]*/stat"):
+            with contextlib.suppress(OSError):  # one that has just ended
+                state, _, _, own = path.read_text().rpartition(")")[2].split()[:4]
+                if int(own) == session and state != "Z":
+                    return True
+        return False
+
     settings = tmp_path / "quick.toml"
     settings.write_text(fleets.QUICK_TOML)
     own = tmp_path / "results"
@@ -252,26 +248,13 @@ def test_a_killed_run_goes_on_and_leaves_no_process(logs, results, tmp_path):
     run.wait()
     done = len(list(own.glob("rows/*/*.json")))
     assert 1 <= done < MACHINES
-    while _processes_of_session(run.pid) and time.monotonic() < deadline:
+    while is_running(run.pid):
+        assert time.monotonic() < deadline
         time.sleep(0.05)
-    assert not _processes_of_session(run.pid)
     assert not list(temporary.glob("hitchid-fleet-*"))
     second = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)  # noqa: S603
     assert json.loads(second.stdout)["worked"] == MACHINES - done
     assert fleets.model_digests(own) == fleets.model_digests(results)
-
-
-def _processes_of_session(session: int) -> list[int]:
-    """Return the processes of a session that still run."""
-    found = []
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = path.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(fields[3]) == session and fields[0] != "Z":
-            found.append(int(path.parent.name))
-    return found
 
 
 @pytest.mark.long
@@ -317,22 +300,16 @@ def test_a_store_that_ends_in_mid_write_shows_no_model(limit, logs, tmp_path, mo
     assert read_rows(own.results) == ()
 
 
-def test_newest_is_the_last_row_of_each_machine(results):
-    (row, *_) = read_rows(Store(str(results)))
-    old, late = replace(row, date="2026-01-01T00:00:00+00:00"), replace(row, date="2026-06-01T00:00:00+00:00")
-    failed = replace(late, state="failed")
-    assert newest([late, failed, old]) == (late,)
-
-
-def test_the_rows_are_compacted(results):
+def test_rows_are_compacted_and_the_newest_of_each_machine_counts(results):
     import pandas as pd
 
+    (row, *_) = read_rows(Store(str(results)))
+    old, late = replace(row, date="2026-01-01T00:00:00+00:00"), replace(row, date="2026-06-01T00:00:00+00:00")
+    assert newest([late, replace(late, state="failed"), old]) == (late,)
     table = pd.read_parquet(results / "fleet.parquet")
     assert list(table["machine"]) == [f"tractor-{k}" for k in range(MACHINES)]
-    pd.testing.assert_frame_equal(
-        table[["lifting_gain", "bytes_read"]],
-        pd.read_csv(results / "fleet.csv")[["lifting_gain", "bytes_read"]],
-    )
+    columns = ["lifting_gain", "bytes_read"]
+    pd.testing.assert_frame_equal(table[columns], pd.read_csv(results / "fleet.csv")[columns])
 
 
 @pytest.mark.parametrize(
@@ -348,16 +325,12 @@ def test_wrong_arguments_are_refused(arguments, message, logs, tmp_path):
         identify_fleet(str(logs), str(tmp_path), settings=fleets.QUICK, runner=Runner(**arguments))
 
 
-def test_a_store_without_machines_is_refused(tmp_path):
+def test_stores_without_machines_or_with_results_among_them_are_refused(logs, tmp_path):
     with pytest.raises(InputError, match="one folder for each machine"):
         identify_fleet(str(tmp_path / "logs"), str(tmp_path / "results"))
-
-
-@pytest.mark.parametrize("place", [".", "results"])
-def test_results_in_the_store_of_logs_are_refused(place, logs):
-    """They would be machines of the next run."""
-    with pytest.raises(InputError, match="expected results outside"):
-        identify_fleet(str(logs), str(logs / place), settings=fleets.QUICK)
+    for inside in (".", "results"):  # they would be machines of the next run
+        with pytest.raises(InputError, match="expected results outside"):
+            identify_fleet(str(logs), str(logs / inside), settings=fleets.QUICK)
 
 
 def test_a_worker_has_its_core_before_numpy_counts_the_cores():

@@ -20,7 +20,7 @@ def test_missing_tests_are_not_counted():
     np.testing.assert_allclose(adjusted, [[0.03, np.nan], [0.5, 0.045]], rtol=1e-12)
 
 
-def test_a_rate_is_no_larger_than_that_of_a_larger_p_value():
+def test_rates_rise_with_p_values():
     """Of two tests 2 · 0.04/1 = 0.08 lies above 2 · 0.05/2 = 0.05, at which both are discoveries."""
     np.testing.assert_allclose(adjusted_p_values(np.array([0.04, 0.05])), [0.05, 0.05], rtol=1e-12)
 

@@ -1,14 +1,27 @@
-"""The random-effects regression against balanced designs, where restricted maximum likelihood is closed."""
+"""The random-effects regression and its constants against closed forms, integrals and simulated fleets."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from simulated_fleets import simulated_fleet
+from scipy.integrate import quad
+from scipy.stats import chi2, norm
+from simulated_fleets import binomial_tolerance, simulated_fleet
 
-from hitchid.fleet.random_effects import fit_random_effects, normal_constants
+from hitchid.errors import InputError
+from hitchid.fleet.random_effects import (
+    CLIP,
+    LEVEL,
+    checked_estimates,
+    constants_of,
+    fit_random_effects,
+    normal_constants,
+    spread_interval,
+    weights,
+)
 
 NORMAL = np.random.default_rng(0).standard_normal(40)
+ESTIMATES, COVARIANCES = np.zeros((4, 2)), np.tile(np.eye(2), (4, 1, 1))
 
 
 def fit(values, variances, design=None, *, robust=False):
@@ -17,26 +30,27 @@ def fit(values, variances, design=None, *, robust=False):
 
 
 def test_balanced_estimates_have_the_variance_of_the_sample():
-    found = fit(5 + 2 * NORMAL, np.full(40, 0.5))
+    effects = fit(5 + 2 * NORMAL, np.full(40, 0.5))
     sample = np.var(5 + 2 * NORMAL, ddof=1)
-    assert found.coefficients[0, 0] == pytest.approx(np.mean(5 + 2 * NORMAL), rel=1e-9)
-    assert found.between[0] == pytest.approx(sample - 0.5, rel=1e-7)
-    assert found.covariance[0, 0, 0] == pytest.approx(sample / 40, rel=1e-7)
+    assert effects.coefficients[0, 0] == pytest.approx(np.mean(5 + 2 * NORMAL), rel=1e-9)
+    assert effects.between[0] == pytest.approx(sample - 0.5, rel=1e-7)
+    assert effects.covariance[0, 0, 0] == pytest.approx(sample / 40, rel=1e-7)
     # The variance of a sample variance of n normal values is 2 σ⁴/(n − 1).
-    assert found.between_variance[0] == pytest.approx(2 * sample**2 / 39, rel=1e-7)
+    assert effects.between_variance[0] == pytest.approx(2 * sample**2 / 39, rel=1e-7)
 
 
 def test_a_scatter_below_the_errors_is_no_spread():
     assert fit(0.1 * NORMAL, np.ones(40)).between[0] == 0.0
+    assert spread_interval(0.02 * NORMAL, np.ones(40)) == (0.0, 0.0)
 
 
 def test_two_balanced_groups_have_the_pooled_variance():
     group = np.arange(40) % 2
     design = np.stack([group == 0, group == 1], axis=1).astype(float)
-    found = fit(NORMAL + 10 * group, np.full(40, 0.1), design)
+    effects = fit(NORMAL + 10 * group, np.full(40, 0.1), design)
     pooled = (np.var(NORMAL[::2], ddof=1) + np.var(NORMAL[1::2], ddof=1)) / 2
-    assert found.between[0] == pytest.approx(pooled - 0.1, rel=1e-7)
-    assert found.coefficients[0] == pytest.approx([NORMAL[::2].mean(), 10 + NORMAL[1::2].mean()])
+    assert effects.between[0] == pytest.approx(pooled - 0.1, rel=1e-7)
+    assert effects.coefficients[0] == pytest.approx([NORMAL[::2].mean(), 10 + NORMAL[1::2].mean()])
 
 
 def test_unequal_errors_solve_the_restricted_score():
@@ -51,7 +65,7 @@ def test_unequal_errors_solve_the_restricted_score():
 
     step = 0.01 * between
     # The minimum of a parabola through three points: its error is of third order in the step.
-    below, middle, above = (deviance(between + each) for each in (-step, 0, step))
+    below, middle, above = (deviance(between + shift) for shift in (-step, 0, step))
     offset = step / 2 * (below - above) / (below - 2 * middle + above)
     assert abs(offset) < 1e-3 * between
 
@@ -71,15 +85,15 @@ def test_selections_are_fitted_as_if_alone():
 def test_the_robust_variance_is_that_of_a_normal_fleet():
     machines, between = 20_000, 2.0
     fleet = simulated_fleet(np.random.default_rng(3), machines, between=((between,),), errors=(1.0, 1.0))
-    found = fit(fleet.estimates[:, 0], fleet.covariances[:, 0, 0], robust=True)
+    effects = fit(fleet.estimates[:, 0], fleet.covariances[:, 0, 0], robust=True)
     error = (between + 1.0) * np.sqrt(2 / machines / normal_constants().efficiency)
-    assert abs(found.between[0] - between) < 4 * error
-    assert np.sqrt(found.between_variance[0]) == pytest.approx(error, rel=0.03)
+    assert abs(effects.between[0] - between) < 4 * error
+    assert np.sqrt(effects.between_variance[0]) == pytest.approx(error, rel=0.03)
 
 
 def test_an_outlier_counts_the_same_however_far_it_is():
     variances = np.full(40, 0.1)
-    near, far = (fit(np.append(NORMAL[1:], place), variances, robust=True) for place in (20.0, 2e6))
+    near, far = (fit(np.append(NORMAL[1:], outlier), variances, robust=True) for outlier in (20.0, 2e6))
     assert far.between[0] == pytest.approx(near.between[0], rel=1e-2)
     # Plain estimates are dragged along: the mean by a fortieth of the distance.
     assert abs(far.coefficients[0, 0] - np.mean(NORMAL[1:])) < 0.1
@@ -92,6 +106,100 @@ def test_the_unit_of_a_parameter_does_not_matter(scale, offset, seed):
     one = fit(values, variances, robust=True)
     other = fit(scale * (values + offset), scale**2 * variances, robust=True)
     assert other.between[0] == pytest.approx(scale**2 * one.between[0], rel=1e-5, abs=1e-7 * scale**2)
-    assert other.coefficients[0, 0] == pytest.approx(
-        scale * (one.coefficients[0, 0] + offset), abs=1e-6 * scale
-    )
+    mean = scale * (one.coefficients[0, 0] + offset)
+    assert other.coefficients[0, 0] == pytest.approx(mean, abs=1e-6 * scale)
+
+
+# --- the interval of the spread -----------------------------------------------------------------------------
+
+
+def test_equal_errors_have_the_interval_of_a_variance():
+    values = 2 * NORMAL
+    squares = np.sum((values - values.mean()) ** 2)
+    ends = squares / chi2.ppf([(1 + LEVEL) / 2, (1 - LEVEL) / 2], 39) - 0.5
+    interval = spread_interval(values, np.full(40, 0.5), robust=False)
+    assert interval == pytest.approx(tuple(np.sqrt(ends)), rel=1e-6)
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.5, 2.0])
+def test_the_interval_holds_the_spread_as_often_as_it_says(spread):
+    rng, inside, fleets = np.random.default_rng(1), 0, 60
+    for _ in range(fleets):
+        fleet = simulated_fleet(rng, 25, between=((spread**2,),))
+        lower, upper = spread_interval(fleet.estimates[:, 0], fleet.covariances[:, 0, 0])
+        inside += lower <= spread <= upper
+    # Not above for the robust χ², which is narrower than its approximation at the ends.
+    assert inside / fleets > LEVEL - binomial_tolerance(LEVEL, fleets)
+
+
+# --- robust weights -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("parameters", [1, 2, 5])
+def test_consistency_and_efficiency_are_integrals(parameters):
+    constants = normal_constants(parameters)
+    limit = constants.clip
+
+    def expectation(function, limit):
+        """Return the mean of a function of d² ~ χ²ₚ, by quadrature on both sides of the limit."""
+        parts = [(0.0, limit), (limit, np.inf)]
+        return sum(quad(lambda x: function(x) * chi2.pdf(x, parameters), *part)[0] for part in parts)
+
+    def clipped_at(scale):
+        return expectation(lambda x: min(x / scale, limit), limit * scale)
+
+    mean = clipped_at(1.0)
+    assert constants.consistency == pytest.approx(mean / parameters, rel=1e-6)
+    variance = expectation(lambda x: min(x, limit) ** 2, limit) - mean**2
+    step = 1e-3  # central difference: its error is of the order of the square
+    slope = (clipped_at(1 - step) - clipped_at(1 + step)) / (2 * step)
+    # By the delta method the variance of log σ² is variance/slope² over n; that of the plain estimate 2/p.
+    assert constants.efficiency == pytest.approx(2 / parameters * slope**2 / variance, rel=1e-4)
+
+
+def test_the_mean_has_the_variance_of_its_score():
+    def score(z):
+        return z * min(1.0, CLIP**2 / z**2) if z else 0.0
+
+    def expected(function):
+        return 2 * (quad(function, 0, CLIP)[0] + quad(function, CLIP, 12)[0])
+
+    squared = expected(lambda z: score(z) ** 2 * norm.pdf(z))
+    slope = expected(lambda z: score(z) * z * norm.pdf(z))  # E ψ′ = E ψ z, by parts
+    assert normal_constants().mean_factor == pytest.approx(squared / slope**2, rel=1e-6)
+
+
+def test_the_influence_of_an_outlier_is_bounded():
+    clip = normal_constants().clip
+    squared = np.array([0.0, clip / 2, clip, 10 * clip, 1e12])
+    assert weights(squared, clip) * squared == pytest.approx([0.0, clip / 2, clip, clip, clip])
+    assert np.all(weights(squared, constants_of(1, robust=False).clip) == 1.0)
+
+
+# --- estimates that cannot be used --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("estimates", "covariances", "message"),
+    [
+        (np.zeros(4), COVARIANCES, r"estimates: got shape \(4,\)"),
+        (ESTIMATES, COVARIANCES[:3], r"covariances: got shape \(3, 2, 2\), expected \(4, 2, 2\)"),
+        (np.full((4, 2), np.inf), COVARIANCES, "infinite"),
+        (ESTIMATES, -COVARIANCES, "smallest eigenvalue -1"),
+        (ESTIMATES, np.ones((4, 2, 2)) + np.diag([0, -0.5]), "machine 0"),
+    ],
+)
+def test_estimates_that_cannot_be_used_are_refused(estimates, covariances, message):
+    with pytest.raises(InputError, match=message):
+        checked_estimates(estimates, covariances)
+
+
+def test_a_parameter_without_estimate_or_error_is_missing_in_both():
+    estimates, covariances = ESTIMATES.copy(), COVARIANCES.copy()
+    estimates[1, 0] = np.nan
+    covariances[2, 1, 1] = np.nan
+    values, errors = checked_estimates(estimates, covariances)
+    missing = np.zeros((4, 2), bool)
+    missing[1, 0] = missing[2, 1] = True
+    assert np.array_equal(np.isnan(values), missing)
+    assert np.array_equal(np.isnan(errors), missing[:, :, None] | missing[:, None, :])

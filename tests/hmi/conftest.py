@@ -36,3 +36,21 @@ def write_test(tmp_path):
         return {"kind": "file", "name": "next", "file": "uploads/next.csv"}
 
     return write
+
+
+@pytest.fixture
+def armed(make_bench, write_test):
+    """Return a bench on which a test is armed."""
+    bench = make_bench()
+    bench.tick()
+    bench.ask("arm", plan=write_test())
+    return bench
+
+
+@pytest.fixture
+def running(make_bench, write_test):
+    """Return a bench on which a test has moved for twenty samples."""
+    bench = make_bench()
+    bench.run(**write_test())
+    bench.tick(20)
+    return bench

@@ -8,36 +8,24 @@ import time
 import urllib.parse
 from contextlib import contextmanager
 
-BRIEFEST = """
-[lifting]
-structure = "integrator-first-order"
-
-[lowering]
-structure = "integrator-first-order"
-
-[search]
-evaluations = 300
-compare = false
-
-[training]
-epochs = 3
-free_run = false
-baselines = false
-"""
-
 
 @contextmanager
 def served(project, *options):
     """Yield the link and the process of a server of a project folder."""
     command = [sys.executable, "-m", "hitchid", "hmi", str(project), "--quiet", *options]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}  # for `fake_bench`
     process = subprocess.Popen(  # noqa: S603 - this Python, the command under test
-        command, stdout=subprocess.PIPE, text=True, cwd=project
+        command, stdout=subprocess.PIPE, text=True, cwd=project, env=environment
     )
     try:
         yield process.stdout.readline().strip(), process
     finally:
         process.terminate()
-        process.wait(20)
+        try:
+            process.wait(20)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            raise
 
 
 class Operator:
@@ -74,6 +62,18 @@ class Operator:
         self.option_speed.select_option(str(speed))
         self.page.get_by_test_id("connect").click()
         self.wait_for_state("idle", 60)
+
+    def fill_plan(self, **fields):
+        """Fill the fields of a campaign's plan."""
+        for field, value in fields.items():
+            self.page.get_by_test_id(f"plan-{field}").fill(str(value))
+
+    def run(self):
+        """Arm and start the plan that is shown."""
+        self.arm.click()
+        self.wait_for_state("armed")
+        self.start.click()
+        self.wait_for_state("running")
 
     @property
     def outside(self):

@@ -21,28 +21,32 @@ SOURCE = {
 }
 
 
-def heard(client):
-    """Return the messages that wait for a page."""
-    return [json.loads(text) for text in client._texts]
+def messages_to(client, kind=None):
+    """Return the messages that wait for a page, of one kind."""
+    messages = map(json.loads, client._texts)
+    return [message for message in messages if kind in (None, message["type"])]
 
 
-def test_a_loop_that_has_ended_is_told_as_it_is_known(tmp_path):
-    for state, source, zero_sent, told in [
+@pytest.mark.parametrize(
+    ("state", "source", "zero_sent", "reason"),
+    [
         ("running", "udp:5005", True, "its watchdog has sent zero to the machine"),
         ("running", "udp:5005", False, "close the valves of the machine by hand"),
         ("running", "udp:5005", None, "whether zero was sent is not known"),
         ("armed", "udp:5005", None, "whether zero was sent is not known"),
         ("running", "rig", None, "the virtual bench has ended with it"),
         ("idle", "udp:5005", None, "zero was the last that it commanded"),
-    ]:
-        console = Console(Settings(tmp_path))
-        page = console.clients.add("session")
-        console._status |= {"state": state, "source": {**SOURCE, "name": source}}
-        if zero_sent is not None:
-            console._from_bench(b"j" + json.dumps({"type": "watchdog", "zero_sent": zero_sent}).encode())
-        console._bench_ended()
-        assert told in heard(page)[-1]["reason"]
-        assert "valves are closed" not in heard(page)[-1]["reason"]
+    ],
+)
+def test_pages_hear_what_is_known_of_an_ended_loop(tmp_path, state, source, zero_sent, reason):
+    console = Console(Settings(tmp_path))
+    page = console.clients.add("session")
+    console._status |= {"state": state, "source": {**SOURCE, "name": source}}
+    if zero_sent is not None:
+        console._from_bench(b"j" + json.dumps({"type": "watchdog", "zero_sent": zero_sent}).encode())
+    console._bench_ended()
+    assert reason in messages_to(page)[-1]["reason"]
+    assert "valves are closed" not in messages_to(page)[-1]["reason"]
 
 
 def test_the_reason_of_a_stop_stays_when_its_loop_ends(tmp_path):
@@ -54,7 +58,7 @@ def test_the_reason_of_a_stop_stays_when_its_loop_ends(tmp_path):
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("elsewhere"), os.mkdir])
-def test_a_log_that_cannot_be_written_holds_nothing_up_and_is_told_once(tmp_path, make):
+def test_a_log_that_cannot_be_written_is_one_problem(tmp_path, make):
     make(tmp_path / LOG_FILE)
     console = Console(Settings(tmp_path))
     page = console.clients.add("session")
@@ -63,9 +67,8 @@ def test_a_log_that_cannot_be_written_holds_nothing_up_and_is_told_once(tmp_path
         assert console._disk.finish()
     console._check_log()
     console._check_log()
-    (problem, *others) = [message["text"] for message in heard(page) if message["type"] == "problem"]
-    assert problem.startswith(f"{LOG_FILE}: cannot be written: ")
-    assert others == []
+    (problem,) = messages_to(page, "problem")
+    assert problem["text"].startswith(f"{LOG_FILE}: cannot be written: ")
     assert not (tmp_path / "elsewhere").exists()
 
 
@@ -90,7 +93,7 @@ def beside(tmp_path, monkeypatch):
 
 
 def problems(beside):
-    return [message["text"] for message in heard(beside.page) if message["type"] == "problem"]
+    return [message["text"] for message in messages_to(beside.page, "problem")]
 
 
 def test_a_model_whose_process_dies_says_so(beside):
@@ -101,7 +104,7 @@ def test_a_model_whose_process_dies_says_so(beside):
     assert beside.model is None
 
 
-def test_a_model_that_cannot_be_used_says_why_and_no_more(beside):
+def test_a_model_that_cannot_be_used_says_why_once(beside):
     beside._child.on_message(json.dumps({"type": "error", "error": "another sampling time"}).encode())
     beside._child.on_end()
     assert problems(beside) == ["monitor: another sampling time"]

@@ -47,17 +47,14 @@ def test_a_guess_is_refused_and_uses_up_no_link(token):
     assert sessions.redeem(link)
 
 
-def test_with_one_too_many_the_session_ends_that_was_used_longest_ago_and_has_no_page():
+def test_with_one_too_many_the_oldest_unconnected_session_ends():
     sessions = Sessions()
     operator, *viewers = [sessions.redeem(sessions.new_link()) for _ in range(MOST_SESSIONS)]
     sessions.connect(operator)
     sessions.known(viewers[0])
     assert sessions.redeem(sessions.new_link())
-    told = [sessions.known(session) is not None for session in (operator, *viewers)]
-    assert told == [True, True, False] + [True] * (MOST_SESSIONS - 3)
-
-
-def test_no_session_ends_whose_page_is_connected():
+    still = [sessions.known(session) is not None for session in (operator, *viewers)]
+    assert still == [True, True, False] + [True] * (MOST_SESSIONS - 3)
     sessions = Sessions()
     opened = [sessions.redeem(sessions.new_link()) for _ in range(MOST_SESSIONS)]
     for session in opened:
@@ -85,25 +82,21 @@ def refused(tmp_path, monkeypatch, capsys):
     return message
 
 
-def test_output_without_limits_is_refused(refused):
+def test_what_cannot_be_served_is_refused_before_it_is(refused, tmp_path):
     assert "--allow-output: requires --limits FILE" in refused("--allow-output")
-
-
-def test_a_project_that_is_no_folder_is_refused(refused):
     assert "nowhere: is no folder; create it first" in refused("nowhere")
-
-
-def test_wrong_limits_are_refused_before_anything_is_served(refused, tmp_path):
     (tmp_path / "limits.toml").write_text("lifting_command = -1\n")
     assert "lifting_command" in refused("--limits", "limits.toml")
-
-
-def test_a_project_that_is_served_already_is_refused_with_its_address(refused, tmp_path):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = str(taken.getsockname()[1])
+        assert f"port {port}: Address already in use; choose another --port" in refused("--port", port)
     assert project.lock(tmp_path, "http://127.0.0.1:8123/") is not None  # until this process ends
     assert "is served already, at http://127.0.0.1:8123/; open that, or end it first" in refused(".")
 
 
-def test_a_project_is_free_again_when_its_server_has_ended_and_a_lock_is_not_followed(tmp_path):
+def test_a_project_is_free_again_when_its_server_has_ended(tmp_path):
     os.close(project.lock(tmp_path, "http://127.0.0.1:8123/"))
     file = project.lock(tmp_path, "http://127.0.0.1:1/")
     assert (tmp_path / project.LOCK_FILE).read_text() == "http://127.0.0.1:1/"
@@ -112,11 +105,3 @@ def test_a_project_is_free_again_when_its_server_has_ended_and_a_lock_is_not_fol
     (tmp_path / project.LOCK_FILE).symlink_to(tmp_path / "elsewhere")
     assert project.lock(tmp_path, "") is None
     assert not (tmp_path / "elsewhere").exists()
-
-
-def test_a_port_that_is_taken_is_refused(refused):
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = str(taken.getsockname()[1])
-        assert f"port {port}: Address already in use; choose another --port" in refused("--port", port)

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from operated import Operator, served
 
-import fake_bench
 import handmade
 import hitchid
 from browser import chromium
@@ -43,8 +42,7 @@ def project(tmp_path_factory):
     (folder / "changes").mkdir()
     changes = Changes(gain=math.log(1.1), dead_zone=0.02)
     learned = [Event(kind, 60.0, 9, "lifting", "", changes) for kind in ("promoted", "moved")]
-    (folder / "changes" / "hand.jsonl").write_text("".join(f"{each.to_json()}\n" for each in learned))
-    (folder / "fake_bench.py").write_text(Path(fake_bench.__file__).read_text())
+    (folder / "changes" / "hand.jsonl").write_text("".join(f"{event.to_json()}\n" for event in learned))
     return folder
 
 
@@ -72,12 +70,9 @@ def start_hold(operator, name):
     """Start slow lifting from a file."""
     operator.tab_campaign.click()
     operator.plan_kind.select_option("file")
-    operator.plan_name.fill(name)
+    operator.fill_plan(name=name)
     operator.plan_file.select_option("uploads/hold.csv")
-    operator.arm.click()
-    operator.wait_for_state("armed")
-    operator.start.click()
-    operator.wait_for_state("running")
+    operator.run()
 
 
 def times_s(log):
@@ -93,14 +88,14 @@ def serious_findings(page):
     from axe_playwright_python import sync_playwright as axe
 
     page.evaluate((Path(axe.__file__).parent / "axe.min.js").read_text())
-    found = page.evaluate(
+    findings = page.evaluate(
         "async () => (await axe.run()).violations.map(v => [v.impact, v.id, ...v.nodes.map(n => n.html)])"
     )
-    return [each for each in found if each[0] in ("serious", "critical")]
+    return [finding for finding in findings if finding[0] in ("serious", "critical")]
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_every_section_fits_and_has_no_serious_finding_of_accessibility(operator, scheme):
+def test_every_section_fits_and_is_accessible(operator, scheme):
     page = operator.page
     page.emulate_media(color_scheme=scheme)
     for section in SECTIONS:
@@ -112,7 +107,7 @@ def test_every_section_fits_and_has_no_serious_finding_of_accessibility(operator
     page.set_viewport_size({"width": 1280, "height": 800})
 
 
-def test_an_adapted_model_is_shown_saved_rolled_back_and_switched_off_by_keyboard(operator, project):
+def test_an_adapted_model_is_saved_and_rolled_back_by_keyboard(operator, project):
     page = operator.page
     operator.tab_bench.click()
     operator.monitor_model.select_option("models/hand")
@@ -142,7 +137,7 @@ def test_an_adapted_model_is_shown_saved_rolled_back_and_switched_off_by_keyboar
     operator.adapt.focus()
     page.keyboard.press("Space")
     page.get_by_text("Off: the model is used as identified").wait_for()
-    assert [each.kind for each in read_events(project / "changes" / "hand.jsonl")][-1] == "rolled back"
+    assert [event.kind for event in read_events(project / "changes" / "hand.jsonl")][-1] == "rolled back"
     gain = hitchid.load(project / "models" / "hand-adapted").channels["lifting"].benchmark.parameter_vector[0]
     assert float(gain) == pytest.approx(1.1 * handmade.GAINS["lifting"])
     operator.monitor_model.select_option("")
@@ -197,7 +192,7 @@ def test_a_viewer_sees_all_may_stop_and_may_not_start(operator, browser, name):
     viewer.page.close()
 
 
-def test_a_frozen_page_stops_the_machine_and_the_log_has_every_sample(operator, project, name):
+def test_a_frozen_page_stops_the_machine_and_loses_no_sample(operator, project, name):
     start_hold(operator, name)
     operator.page.evaluate("const end = Date.now() + 1500; while (Date.now() < end);")
     operator.wait_for_state("the operator's page gave no sign of life")
@@ -211,15 +206,10 @@ def test_a_frozen_page_stops_the_machine_and_the_log_has_every_sample(operator, 
 def test_an_unattended_campaign_goes_on_while_the_page_is_away(operator, project, name):
     operator.tab_campaign.click()
     operator.plan_kind.select_option("campaign")
-    operator.plan_name.fill(name)
-    for field, value in {"ramps": 1, "ramp_s": 2, "tests": 0}.items():
-        operator.page.get_by_test_id(f"plan-{field}").fill(str(value))
+    operator.fill_plan(name=name, ramps=1, ramp_s=2, tests=0)
     operator.page.get_by_test_id("plan-directions").select_option(index=1)
     operator.plan_unattended.check()
-    operator.arm.click()
-    operator.wait_for_state("armed")
-    operator.start.click()
-    operator.wait_for_state("running")
+    operator.run()
     operator.page.goto("about:blank")
     log = project / "campaigns" / name / "ramp-lifting-01.csv"
     end_s = time.monotonic() + 40

@@ -8,12 +8,11 @@ import re
 import signal
 import socket
 import struct
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
+from operated import resident_mb, served
 
 from fake_bench import LIMITS_FILE
 
@@ -24,16 +23,12 @@ pytest.importorskip("websockets")
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-TESTS = Path(__file__).parents[1]
+from hitchid.hmi.console import BESIDE, OPERATED
+
 LONGEST_S = 60.0  # s, for a start on a machine that does much else
-PLAN = {
-    "kind": "campaign",
-    "name": "monday",
-    "ramps": 1,
-    "ramp_s": 600,
-    "tests": 0,
-    "unattended": True,
-}
+PLAN = {"kind": "campaign", "name": "monday", "ramps": 1, "ramp_s": 600, "tests": 0, "unattended": True}
+
+
 HEADERS = {
     "x-content-type-options": "nosniff",
     "referrer-policy": "no-referrer",
@@ -46,38 +41,33 @@ HEADERS = {
 class Session:
     """A server in its own process, and a browser that it knows."""
 
-    def __init__(self, root):
-        self.root = root
-        for folder in ("uploads", "reports/r"):
-            (root / folder).mkdir(parents=True)
-        (root / "uploads" / "a.csv").write_text("a")
-        (root / "reports" / "r" / "report.html").write_text("<script>alert(1)</script>")
-        (root.parent / "secret.txt").write_text("secret")
-        (root.parent / "limits.toml").write_text(LIMITS_FILE)
-        command = [sys.executable, "-m", "hitchid", "hmi", str(root), "--quiet"]
-        command += ["--source", "fake_bench:Plant", "--limits", str(root.parent / "limits.toml")]
-        paths = [str(TESTS), str(TESTS.parent / "src")]
-        self.process = subprocess.Popen(  # noqa: S603 - this Python, the command under test
-            command,
-            stdout=subprocess.PIPE,
-            text=True,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
-        )
-        self.link = self.process.stdout.readline().strip()
-        self.token = self.link.partition("#token=")[2]
-        self.port = int(re.search(r":(\d+)/", self.link)[1])
+    def __init__(self, root, link, process):
+        self.root, self.process = root, process
+        self.token = link.partition("#token=")[2]
+        self.port = int(re.search(r":(\d+)/", link)[1])
         self.origin = f"http://127.0.0.1:{self.port}"
         self.cookie = self.opened(self.token)
 
     def ask(self, method, path, body=None, **headers):
         """Return status, headers and content of an answer to this page, or to what other headers say."""
-        given = {"Origin": self.origin, "Cookie": getattr(self, "cookie", ""), **headers}
+        sent = {"Origin": self.origin, "Cookie": getattr(self, "cookie", ""), **headers}
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=LONGEST_S)
         with contextlib.closing(connection):
-            given = {name.replace("_", "-"): value for name, value in given.items() if value is not None}
-            connection.request(method, path, body, given)
+            sent = {name.replace("_", "-"): value for name, value in sent.items() if value is not None}
+            connection.request(method, path, body, sent)
             answer = connection.getresponse()
             return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
+
+    def refusal(self, method, path, body=None, **headers):
+        """Return status and error of an answer."""
+        status, _, content = self.ask(method, path, body, **headers)
+        return status, json.loads(content)["error"]
+
+    def new_token(self):
+        """Return the token of a new link."""
+        status, _, content = self.ask("POST", "/api/link")
+        assert status == 200
+        return json.loads(content)["link"].partition("#token=")[2]
 
     def opened(self, token):
         """Return the cookie that a token is given."""
@@ -86,26 +76,37 @@ class Session:
 
     def page(self, **headers):
         """Return a connected page."""
-        given = {"Cookie": self.cookie, **headers}
-        origin = given.pop("Origin", self.origin)
+        sent = {"Cookie": self.cookie, **headers}
+        origin = sent.pop("Origin", self.origin)
         address = f"ws://127.0.0.1:{self.port}/ws"
         options = {"open_timeout": LONGEST_S, "close_timeout": 0.2, "proxy": None, "max_size": None}
-        return connect(address, origin=origin, additional_headers=given, **options)
+        return connect(address, origin=origin, additional_headers=sent, **options)
 
     def children(self, module):
         """Return the processes of the server that run a module."""
-        found = []
+        numbers = []
         for entry in Path("/proc").iterdir():
             with contextlib.suppress(OSError, IndexError):
                 parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
                 if parent == self.process.pid and module in (entry / "cmdline").read_text():
-                    found.append(int(entry.name))
-        return found
+                    numbers.append(int(entry.name))
+        return numbers
 
-    def memory(self):
-        """Return the server's memory, bytes."""
-        pages = int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1])
-        return pages * os.sysconf("SC_PAGE_SIZE")
+    def memory_mb(self):
+        return resident_mb(self.process.pid)
+
+
+@contextlib.contextmanager
+def serving(root):
+    """Yield a session in a new project, beside a secret."""
+    for folder in ("uploads", "reports/r"):
+        (root / folder).mkdir(parents=True)
+    (root / "uploads" / "a.csv").write_text("a")
+    (root / "reports" / "r" / "report.html").write_text("<script>alert(1)</script>")
+    (root.parent / "secret.txt").write_text("secret")
+    (root.parent / "limits.toml").write_text(LIMITS_FILE)
+    with served(root, "--source", "fake_bench:Plant", "--limits", "../limits.toml") as started:
+        yield Session(root, *started)
 
 
 def said(page, wanted, longest_s=LONGEST_S):
@@ -127,20 +128,27 @@ def asked(page, kind, **content):
 asked.number = 0
 
 
+def run(page, name, **options):
+    """Connect a plant and start a plan on it."""
+    assert asked(page, "connect", source="fake_bench:Plant", options=options) is None
+    assert asked(page, "arm", plan={**PLAN, "name": name}) is None
+    assert asked(page, "start") is None
+    in_state(page, "running")
+
+
+def done(page, *kinds):
+    """Check that requests are carried out."""
+    assert [asked(page, kind) for kind in kinds] == [None] * len(kinds)
+
+
 def in_state(page, state):
     return said(page, lambda message: message["type"] == "status" and message["state"] == state)
 
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
-    started = Session(tmp_path_factory.mktemp("hmi") / "project")
-    yield started
-    started.process.terminate()
-    try:
-        started.process.wait(20)
-    except subprocess.TimeoutExpired:
-        started.process.kill()
-        raise
+    with serving(tmp_path_factory.mktemp("hmi") / "project") as started:
+        yield started
 
 
 @pytest.fixture(autouse=True)
@@ -152,21 +160,13 @@ def server_lives(session):
     assert json.loads(content)["folder"] == "project"
 
 
-def test_a_link_can_be_used_once(session):
+def test_a_link_gives_a_safe_cookie_once(session):
     assert session.opened(session.token) is None
-    status, _, content = session.ask("POST", "/api/link")
-    assert status == 200
-    token = json.loads(content)["link"].partition("#token=")[2]
+    token = session.new_token()
     assert len(token) >= 40
-    assert session.opened(token)
-    assert session.opened(token) is None
-
-
-def test_the_cookie_is_neither_for_scripts_nor_for_other_sites(session):
-    token = json.loads(session.ask("POST", "/api/link")[2])["link"].partition("#token=")[2]
     _, headers, _ = session.ask("POST", "/api/session", json.dumps({"token": token}))
-    assert "httponly" in headers["set-cookie"].lower()
-    assert "samesite=strict" in headers["set-cookie"].lower()
+    assert {"httponly", "samesite=strict"} <= set(headers["set-cookie"].lower().split("; "))
+    assert session.opened(token) is None
 
 
 @pytest.mark.parametrize("token", ["", "guess", "0" * 43, None, 3, [], {}, "é", "\ud800", "a" * 60_000])
@@ -177,11 +177,41 @@ def test_a_guessed_token_is_refused(session, token):
     assert "link" in json.loads(content)["error"]
 
 
-@pytest.mark.parametrize("body", ["", "nonsense", "[]", "3", "[" * 50_000, b"\xff\xfe", '{"token"'])
-def test_a_request_that_is_no_json_is_refused(session, body):
-    status, _, content = session.ask("POST", "/api/session", body)
+@pytest.mark.parametrize(
+    ("method", "path", "body", "message"),
+    [
+        *(
+            ("POST", "/api/session", body, "the request is no JSON")
+            for body in ("", "nonsense", "[]", "3", "[" * 50_000, b"\xff\xfe", '{"token"')
+        ),
+        *(
+            ("GET", f"/api/history?{query}", None, "expected a number")
+            for query in ("", "from=a&to=1&points=2", "from=0&to=nan&points=2", "from=0&to=1")
+        ),
+        *(
+            ("POST", "/api/jobs", json.dumps(content), "job|kind|path")
+            for content in (
+                {},
+                {"kind": "rm"},
+                {"kind": "inspect", "logs": "../.."},
+                {"kind": "inspect", "logs": "--help"},
+                {"kind": "\ud800", "logs": "\ud800"},  # half a character, which the answer repeats
+            )
+        ),
+        *(
+            ("POST", f"/api/upload?name={name}", "time_s\n", "^name: ")
+            for name in ("", "../b.csv", "a/b.csv", ".b", "b.csv%00", "%2e%2e%2fb.csv", 70 * "b")
+        ),
+        ("POST", "/api/upload?name=a.csv", "b", "exists already"),
+    ],
+    ids=range(24),
+)
+def test_a_request_that_cannot_be_used_is_refused(session, method, path, body, message):
+    status, error = session.refusal(method, path, body)
     assert status == 400
-    assert json.loads(content)["error"]
+    assert re.search(message, error)
+    assert [file.name for file in (session.root / "uploads").iterdir()] == ["a.csv"]
+    assert (session.root / "uploads" / "a.csv").read_text() == "a"
 
 
 @pytest.mark.parametrize(
@@ -200,25 +230,34 @@ def test_a_request_that_is_no_json_is_refused(session, body):
 )
 @pytest.mark.parametrize("cookie", [None, "", "wrong", "{name}=wrong", "{name}=", "a=b; {name}=\x7f", ";=;,"])
 def test_nothing_is_told_without_the_cookie(session, method, path, cookie):
-    name = session.cookie.partition("=")[0]
-    cookie = cookie and cookie.format(name=name)
-    status, _, content = session.ask(method, path, "{}", Cookie=cookie)
-    assert status == 401
-    assert json.loads(content) == {"error": "open the link that hitchid printed"}
+    cookie = cookie and cookie.format(name=session.cookie.partition("=")[0])
+    refusal = session.refusal(method, path, "{}", Cookie=cookie)
+    assert refusal == (401, "open the link that hitchid printed")
     assert not (session.root / "uploads" / "b.csv").exists()
 
 
-FOREIGN = ["evil.example", "127.0.0.1", "localhost", "127.0.0.1:1", "evil.example:{port}", "[::1]:{port}", ""]
+FOREIGN = [
+    "evil.example",
+    "127.0.0.1",
+    "localhost",
+    "127.0.0.1:1",
+    "evil.example:{port}",
+    "[::1]:{port}",
+    "",
+    "127.0.0.1:{port}.evil.example",
+    "0.0.0.0:{port}",
+]
 
 
-@pytest.mark.parametrize("host", [*FOREIGN, "127.0.0.1:{port}.evil.example", "0.0.0.0:{port}"])
-@pytest.mark.parametrize("path", ["/", "/api/project", "/api/session"])
-def test_another_host_is_refused_also_one_that_a_name_server_led_here(session, host, path):
+@pytest.mark.parametrize("host", FOREIGN)
+def test_another_host_is_refused(session, host):
+    """Also one that a name server led here."""
     host = host.format(port=session.port)
-    for origin in (None, f"http://{host}"):
-        status, _, content = session.ask("GET", path, Host=host, Origin=origin)
-        assert status == 403
-        assert "127.0.0.1 and localhost" in json.loads(content)["error"]
+    for path in ("/", "/api/project", "/api/session"):
+        for origin in (None, f"http://{host}"):
+            status, error = session.refusal("GET", path, Host=host, Origin=origin)
+            assert status == 403
+            assert "127.0.0.1 and localhost" in error
 
 
 EVIL = [
@@ -234,21 +273,16 @@ EVIL = [
 ]
 
 
-@pytest.mark.parametrize("origin", EVIL)
-def test_a_request_of_another_page_is_refused(session, origin):
-    origin = origin.format(port=session.port)
-    for method, path in (("POST", "/api/link"), ("DELETE", "/api/jobs/1"), ("GET", "/api/project")):
-        assert session.ask(method, path, Origin=origin)[0] == 403
-
-
-def test_a_change_without_an_origin_is_refused(session):
-    assert session.ask("POST", "/api/link", Origin=None)[0] == 403
-    assert session.ask("POST", "/api/upload?name=b.csv", "x", Origin=None)[0] == 403
-
-
 @pytest.mark.parametrize("origin", [*EVIL, None])
-def test_a_websocket_of_another_page_is_refused(session, origin):
+def test_a_request_or_websocket_of_another_page_is_refused(session, origin):
     origin = origin and origin.format(port=session.port)
+    for method, path in (
+        ("POST", "/api/link"),
+        ("POST", "/api/upload?name=b.csv"),
+        ("DELETE", "/api/jobs/1"),
+        *([("GET", "/api/project")] if origin is not None else []),  # which changes nothing
+    ):
+        assert session.ask(method, path, Origin=origin)[0] == 403
     with pytest.raises(InvalidStatus) as refused, session.page(Origin=origin):
         pass
     assert refused.value.response.status_code == 403
@@ -267,7 +301,6 @@ PATHS = [
     "/files/uploads/../../secret.txt",
     "/files/uploads/..%2f..%2fsecret.txt",
     "/files/uploads/%2e%2e/%2e%2e/secret.txt",
-    "/files/%2e%2e/secret.txt",
     "/files/uploads/..%252f..%252fsecret.txt",
     "/files/uploads/..%5c..%5csecret.txt",
     "/files/uploads/%c0%ae%c0%ae/%c0%ae%c0%ae/secret.txt",
@@ -279,31 +312,35 @@ PATHS = [
     "/files/uploads/",
     "/files/",
     "/files/link",
+    "/../secret.txt",
+    "/%2e%2e/server.py",
+    "/..%2fserver.py",
+    "//etc/passwd",
+    "/x",
 ]
 
 
 @pytest.mark.parametrize("path", PATHS)
-def test_no_path_leads_out_of_the_project(session, path):
+def test_no_path_leads_out_of_the_project_or_the_page(session, path):
     status, _, content = session.ask("GET", path)
     assert status in (400, 404)
     assert b"secret" not in content.replace(b"secret.txt", b"")
     assert b"root:" not in content
 
 
-@pytest.mark.parametrize(
-    "path", ["/../secret.txt", "/%2e%2e/server.py", "/..%2fserver.py", "//etc/passwd", "/x"]
-)
-def test_the_page_is_its_own_files_alone(session, path):
-    assert session.ask("GET", path)[0] == 404
-
-
-def test_files_of_the_project_are_sent_without_scripts(session):
+def test_neither_files_nor_the_page_run_scripts_from_elsewhere(session):
     status, headers, content = session.ask("GET", "/files/reports/r/report.html")
     assert (status, content) == (200, b"<script>alert(1)</script>")
     policy = headers["content-security-policy"]
     assert "default-src 'none'" in policy
     assert "sandbox" in policy
     assert "script" not in policy
+    status, headers, _ = session.ask("GET", "/")
+    policy = headers["content-security-policy"]
+    assert status == 200
+    assert "default-src 'self'" in policy
+    assert "unsafe" not in policy
+    assert "http" not in policy
 
 
 @pytest.mark.parametrize(
@@ -329,23 +366,6 @@ def test_every_answer_has_its_headers(session, method, path, headers):
     assert "server" not in given
 
 
-def test_the_page_asks_for_nothing_from_outside_and_runs_no_script_in_line(session):
-    status, headers, _ = session.ask("GET", "/")
-    policy = headers["content-security-policy"]
-    assert status == 200
-    assert "default-src 'self'" in policy
-    assert "unsafe" not in policy
-    assert "http" not in policy
-
-
-@pytest.mark.parametrize("name", ["", "../b.csv", "a/b.csv", ".b", "b.csv%00", "%2e%2e%2fb.csv", 70 * "b"])
-def test_an_upload_is_a_name_in_its_folder(session, name):
-    status, _, content = session.ask("POST", f"/api/upload?name={name}", "time_s\n")
-    assert status == 400
-    assert json.loads(content)["error"].startswith("name: ")
-    assert {path.name for path in (session.root / "uploads").iterdir()} == {"a.csv"}
-
-
 def test_an_upload_never_leaves_the_project(session, tmp_path):
     uploads = session.root / "uploads"
     (uploads / "link.csv").symlink_to(tmp_path / "link.csv")
@@ -354,43 +374,33 @@ def test_an_upload_never_leaves_the_project(session, tmp_path):
     uploads.rename(session.root / "kept")
     uploads.symlink_to(tmp_path)
     try:
-        status, _, content = session.ask("POST", "/api/upload?name=b.csv", "x")
+        refusal = session.refusal("POST", "/api/upload?name=b.csv", "x")
     finally:
         uploads.unlink()
         (session.root / "kept").rename(uploads)
-    assert (status, json.loads(content)["error"]) == (
-        400,
-        "uploads: is a link; expected a folder of the project",
-    )
+    assert refusal == (400, "uploads: is a link; expected a folder of the project")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_pipe_is_no_file_to_read_from(session):
-    os.mkfifo(session.root / "uploads" / "pipe.csv")
+    pipe = session.root / "uploads" / "pipe.csv"
+    os.mkfifo(pipe)
     try:
         assert session.ask("GET", "/files/uploads/pipe.csv")[0] == 400
         with session.page() as operator:
             assert asked(operator, "connect", source="fake_bench:Plant") is None
-            file = {"kind": "file", "name": "pipe", "file": "uploads/pipe.csv"}
-            drive = {"kind": "drive", "name": "pipe", "controller": "uploads/pipe.csv"}
-            for plan in (file, drive):
+            for kind, name in (("file", "file"), ("drive", "controller")):
+                plan = {"kind": kind, "name": "pipe", name: "uploads/pipe.csv"}
                 assert asked(operator, "arm", plan=plan) == "path: expected a file, got 'uploads/pipe.csv'"
-            assert asked(operator, "disconnect") is None
+            done(operator, "disconnect")
             replay = {"log": "uploads/pipe.csv"}
             assert "expected a file" in asked(operator, "connect", source="replay", options=replay)
     finally:
-        (session.root / "uploads" / "pipe.csv").unlink()
+        pipe.unlink()
 
 
-def test_an_upload_never_replaces_a_file(session):
-    status, _, content = session.ask("POST", "/api/upload?name=a.csv", "b")
-    assert status == 400
-    assert "exists already" in json.loads(content)["error"]
-    assert (session.root / "uploads" / "a.csv").read_text() == "a"
-
-
-def test_an_upload_of_a_hundred_megabytes_is_refused_early_and_costs_no_memory(session):
-    before, piece, sent, answer = session.memory(), b"x" * 2**16, 0, b""
+def test_a_huge_upload_is_refused_early_and_costs_no_memory(session):
+    before, piece, sent, answer = session.memory_mb(), b"x" * 2**16, 0, b""
     with socket.create_connection(("127.0.0.1", session.port), timeout=20) as raw:
         raw.sendall(
             f"POST /api/upload?name=b.csv HTTP/1.1\r\nHost: 127.0.0.1:{session.port}\r\n"
@@ -410,7 +420,7 @@ def test_an_upload_of_a_hundred_megabytes_is_refused_early_and_costs_no_memory(s
             answer = answer or raw.recv(1000)
     assert answer.startswith(b"HTTP/1.1 4")
     assert sent < 3 * 10**7
-    assert session.memory() - before < 2 * 10**7
+    assert session.memory_mb() - before < 20
     assert not (session.root / "uploads" / "b.csv").exists()
 
 
@@ -450,46 +460,24 @@ def test_only_this_machine_can_connect(session):
     assert addresses == {f"0100007F:{port}"}
 
 
-@pytest.mark.parametrize("query", ["", "from=a&to=1&points=2", "from=0&to=nan&points=2", "from=0&to=1"])
-def test_history_without_numbers_is_refused(session, query):
-    status, _, content = session.ask("GET", f"/api/history?{query}")
-    assert status == 400
-    assert "expected a number" in json.loads(content)["error"]
-
-
-@pytest.mark.parametrize(
-    "content",
-    [{}, {"kind": "rm"}, {"kind": "inspect", "logs": "../.."}, {"kind": "inspect", "logs": "--help"}],
-)
-def test_a_job_that_is_none_is_refused(session, content):
-    status, _, answer = session.ask("POST", "/api/jobs", json.dumps(content))
-    assert status == 400
-    assert json.loads(answer)["error"]
-
-
-def test_half_a_character_in_a_request_is_answered(session):
-    content = json.dumps({"kind": "\ud800", "logs": "\ud800"})
-    status, _, answer = session.ask("POST", "/api/jobs", content)
-    assert status == 400
-    assert json.loads(answer)["error"]
-
-
-def test_a_viewer_from_elsewhere_starts_and_stops_no_job_and_uploads_nothing(session):
-    token = json.loads(session.ask("POST", "/api/link")[2])["link"].partition("#token=")[2]
-    viewer = session.opened(token)
+def test_a_viewer_from_elsewhere_starts_stops_and_uploads_nothing(session):
+    viewer = session.opened(session.new_token())
     inspect = json.dumps({"kind": "inspect", "logs": "uploads/a.csv"})
-    changes = (("POST", "/api/jobs"), ("DELETE", "/api/jobs/1"), ("POST", "/api/upload?name=v.csv"))
     with session.page() as operator:
         said(operator, lambda message: message["type"] == "hello")
-        for method, path in changes:
-            status, _, content = session.ask(method, path, inspect, Cookie=viewer)
-            assert (status, json.loads(content)["error"][:20]) == (400, "this page only watch")
+        for method, path in (
+            ("POST", "/api/jobs"),
+            ("DELETE", "/api/jobs/1"),
+            ("POST", "/api/upload?name=v.csv"),
+        ):
+            status, error = session.refusal(method, path, inspect, Cookie=viewer)
+            assert (status, error[:20]) == (400, "this page only watch")
     assert not (session.root / "uploads" / "v.csv").exists()
 
 
 @pytest.mark.long
 def test_requests_that_never_end_are_ended_and_cost_no_memory(session):
-    before = session.memory()
+    before = session.memory_mb()
     head = f"POST /api/upload?name={{}}.csv HTTP/1.1\r\nHost: 127.0.0.1:{session.port}\r\n"
     body = f"Origin: {session.origin}\r\nCookie: {session.cookie}\r\nContent-Length: 4000000\r\n\r\n"
     with contextlib.ExitStack() as stack:
@@ -508,7 +496,7 @@ def test_requests_that_never_end_are_ended_and_cost_no_memory(session):
         for raw in raws:
             with contextlib.suppress(ConnectionResetError):
                 assert raw.recv(1000)[:12] in (b"", b"HTTP/1.1 400")
-        assert session.memory() - before < 1e8  # of 150 MB that were sent
+        assert session.memory_mb() - before < 100  # of 150 MB that were sent
     assert {path.name for path in (session.root / "uploads").iterdir()} == {"a.csv"}
 
 
@@ -532,10 +520,10 @@ JUNK_FRAMES = [b"\0\xff", "nonsense", "[]", '{"type": 3}', '{"id": 1}', "[" * 30
 
 
 def test_ten_thousand_junk_frames_are_refused_and_nothing_moves(session):
-    before = session.memory()
+    before = session.memory_mb()
     with session.page() as page:
         assert code_after(page, *(JUNK_FRAMES[number % 6] for number in range(10_000))) in (1008, None)
-    assert session.memory() - before < 2 * 10**7
+    assert session.memory_mb() - before < 20
     with session.page() as page:
         assert said(page, lambda message: message["type"] == "status")["state"] == "disconnected"
 
@@ -549,14 +537,11 @@ def test_a_message_that_is_too_large_ends_its_page_alone(session):
 @pytest.mark.parametrize(
     "content",
     [
-        {"type": "connect"},
         {"type": "connect", "source": "os:getcwd"},
         {"type": "connect", "source": "udp:9999"},
         {"type": "connect", "source": ["rig"]},
-        {"type": "connect", "source": "rig", "options": {"rig": "/etc/passwd.toml"}},
         {"type": "connect", "source": "rig", "options": []},
         {"type": "connect", "source": "replay", "options": {"log": "../secret.txt"}},
-        {"type": "arm"},
         {"type": "arm", "plan": PLAN},
         {"type": "start"},
         {"type": "reset"},
@@ -587,112 +572,84 @@ def test_a_viewer_can_stop_but_nothing_else(session):
         assert said(operator, lambda message: message["type"] == "hello")
         assert asked(operator, "connect", source="fake_bench:Plant") is None
         in_state(viewer, "idle")
-        for kind in (
-            "connect",
-            "disconnect",
-            "arm",
-            "start",
-            "reset",
-            "target",
-            "record",
-            "monitor",
-            "adapt",
-            "roll_back",
-            "save_adapted",
-            "marker",
-        ):
+        for kind in (*OPERATED, *BESIDE, "monitor", "marker"):
             assert asked(viewer, kind, plan=PLAN) == "this page only watches; become the operator first"
         assert "another page is the operator" in asked(viewer, "claim")
         assert asked(operator, "arm", plan=PLAN) is None
-        assert asked(operator, "start") is None
+        done(operator, "start")
         in_state(viewer, "running")
-        assert asked(viewer, "stop") is None
+        done(viewer, "stop")
         assert in_state(operator, "stopped")["reason"] == "stopped by a viewer"
         assert asked(operator, "arm", plan={**PLAN, "name": "tuesday"}).endswith("then reset")
-        assert asked(operator, "reset") is None
-        assert asked(operator, "disconnect") is None
+        done(operator, "reset", "disconnect")
         in_state(operator, "disconnected")
     entries = [json.loads(line) for line in (session.root / "hmi.log").read_text().splitlines()]
-    told = [(entry["event"], entry["page"]) for entry in entries][-8:]
+    logged = [(entry["event"], entry["page"]) for entry in entries][-8:]
     events = ["connect", "arm", "start", "stop", "stopped", "arm", "reset", "disconnect"]
-    assert [event for event, _ in told] == events
-    pages = dict(told)
+    assert [event for event, _ in logged] == events
+    pages = dict(logged)
     assert pages["stopped"] is None  # said by the bench loop itself
     assert pages["stop"] not in (None, pages["connect"])
-    assert len({page for _, page in told if page}) == 2
+    assert len({page for _, page in logged if page}) == 2
 
 
-def test_a_page_that_does_not_read_does_not_hold_up_the_others(session):
+def test_a_page_that_does_not_read_holds_up_no_other(session):
     with session.page() as operator, session.page(), session.page():
-        assert asked(operator, "connect", source="fake_bench:Plant", options={"speed": 20}) is None
-        assert asked(operator, "arm", plan={**PLAN, "name": "fast"}) is None
-        assert asked(operator, "start") is None
-        before, newest, end_s = session.memory(), 0.0, time.monotonic() + 3.0
+        run(operator, "fast", speed=20)
+        before, newest, end_s = session.memory_mb(), 0.0, time.monotonic() + 2.0
         while time.monotonic() < end_s:
             message = operator.recv(timeout=LONGEST_S)
             if isinstance(message, bytes):
                 newest = struct.unpack_from("<d", message, 24)[0]
-        assert newest > 20.0  # of 60 s in which the bench has run; on a slow machine it runs slower
-        assert session.memory() - before < 3 * 10**7
-        for kind in ("stop", "reset", "disconnect"):
-            assert asked(operator, kind) is None
+        assert newest > 12.0  # of 40 s in which the bench has run; on a slow machine it runs slower
+        assert session.memory_mb() - before < 30
+        done(operator, "stop", "reset", "disconnect")
 
 
 def test_the_loop_stops_when_the_operator_s_page_falls_silent(session):
-    plan = {**PLAN, "name": "attended", "unattended": False}
     with session.page() as operator:
         assert asked(operator, "connect", source="fake_bench:Plant") is None
-        assert asked(operator, "arm", plan=plan) is None
-        assert asked(operator, "start") is None
+        assert asked(operator, "arm", plan={**PLAN, "name": "attended", "unattended": False}) is None
+        done(operator, "start")
         begin_s = time.monotonic()
         assert "page gave no sign of life" in in_state(operator, "stopped")["reason"]
         assert time.monotonic() - begin_s > 0.3
-        asked(operator, "reset")
-        asked(operator, "disconnect")
+        done(operator, "reset", "disconnect")
 
 
-def test_a_killed_bench_loop_is_told_and_another_can_be_started(session):
+def test_after_a_killed_bench_loop_another_can_be_started(session):
     with session.page() as operator:
-        assert asked(operator, "connect", source="fake_bench:Plant") is None
-        assert asked(operator, "arm", plan={**PLAN, "name": "killed"}) is None
-        assert asked(operator, "start") is None
-        in_state(operator, "running")
-        time.sleep(1.0)
+        run(operator, "killed")
         (bench,) = session.children("bench_process")
         os.kill(bench, signal.SIGKILL)
-        told = in_state(operator, "disconnected")
-        assert told["reason"] == "the bench loop has ended; its watchdog has sent zero to the machine"
+        reason = in_state(operator, "disconnected")["reason"]
+        assert reason == "the bench loop has ended; its watchdog has sent zero to the machine"
         assert "connect a source to start it again" in asked(operator, "start")
         assert asked(operator, "connect", source="fake_bench:Plant") is None
         assert in_state(operator, "idle")["source"]["label"] == "plant"
-        assert asked(operator, "disconnect") is None
+        done(operator, "disconnect")
 
 
-def test_a_bench_loop_that_was_frozen_and_goes_on_is_stopped(session):
+def test_a_bench_loop_that_was_frozen_is_stopped(session):
     with session.page() as operator:
-        assert asked(operator, "connect", source="fake_bench:Plant") is None
-        assert asked(operator, "arm", plan={**PLAN, "name": "frozen"}) is None
-        assert asked(operator, "start") is None
-        in_state(operator, "running")
+        run(operator, "frozen")
         (bench,) = session.children("bench_process")
         os.kill(bench, signal.SIGSTOP)
-        told = said(operator, lambda message: "does not answer" in message.get("reason", ""))
-        assert told["reason"].endswith("use its own emergency stop")
+        status = said(operator, lambda message: "does not answer" in message.get("reason", ""))
+        assert status["reason"].endswith("use its own emergency stop")
         os.kill(bench, signal.SIGCONT)
         # Where in its tick it was frozen decides which is seen first: its own lateness or the silent server.
         reason = in_state(operator, "stopped")["reason"]
         assert "late" in reason or "no sign of life" in reason
-        assert asked(operator, "reset") is None
-        assert asked(operator, "disconnect") is None
+        done(operator, "reset", "disconnect")
 
 
-def test_a_killed_server_takes_the_bench_loop_with_it_and_leaves_the_log_whole(tmp_path):
-    session = Session(tmp_path / "project")
-    with session.page() as operator:
+def test_a_killed_server_takes_the_bench_loop_along(tmp_path):
+    with serving(tmp_path / "project") as session, session.page() as operator:
         assert asked(operator, "connect", source="fake_bench:Plant") is None
         assert asked(operator, "record", on=True) is None
-        assert asked(operator, "arm", plan={**PLAN, "name": "orphan"}) is None
-        assert asked(operator, "start") is None
+        assert asked(operator, "arm", plan=PLAN) is None
+        done(operator, "start")
         in_state(operator, "running")
         (bench,) = session.children("bench_process")
         time.sleep(1.0)

@@ -4,14 +4,29 @@ import json
 import time
 
 import pytest
-from operated import BRIEFEST, Operator, served
+from operated import Operator, served
 
 from browser import chromium
 
 pytestmark = pytest.mark.long
 
 LONGEST_S = 900  # s that one command may take on a machine with other tests beside it
-SIZES = ((390, 844), (1280, 800), (1920, 1080))
+BRIEFEST = """
+[lifting]
+structure = "integrator-first-order"
+
+[lowering]
+structure = "integrator-first-order"
+
+[search]
+evaluations = 300
+compare = false
+
+[training]
+epochs = 3
+free_run = false
+baselines = false
+"""
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +49,7 @@ def operator(project):
         assert operator.messages == []
 
 
-def finished(operator, kind, project):
+def finished(operator, kind):
     """Wait until the newest command of a kind has ended well."""
     operator.page.wait_for_function(
         "kind => window.hitchid.jobs.some(job => job.kind === kind && job.state !== 'running')",
@@ -63,36 +78,31 @@ def wait_until(holds):
 def test_from_the_bench_to_a_driven_hitch(operator, project):
     operator.connect(speed=20)
     operator.tab_campaign.click()
-    operator.plan_name.fill("monday")
-    for field, value in {"ramps": 1, "ramp_s": 8, "tests": 3, "test_s": 5}.items():
-        operator.page.get_by_test_id(f"plan-{field}").fill(str(value))
+    operator.fill_plan(name="monday", ramps=1, ramp_s=8, tests=3, test_s=5)
     operator.plan_unattended.check()
-    operator.arm.click()
-    operator.wait_for_state("armed")
-    operator.start.click()
-    operator.wait_for_state("running")
+    operator.run()
     operator.wait_for_state("idle", LONGEST_S)
     logs = sorted(path.name for path in (project / "campaigns" / "monday").glob("*.csv"))
     assert len(logs) == 8
 
-    finished(operator, "inspect", project)
+    finished(operator, "inspect")
     operator.tab_identify.click()
     operator.identify_logs.select_option("campaigns/monday")
     operator.identify_name.fill("first")
     operator.identify_brief.check()
     operator.identify_start.click()
-    job = finished(operator, "identify", project)
+    job = finished(operator, "identify")
     assert any("searching parameters" in name for name in job["curves"])
     operator.validate_name.fill("first")
     operator.validate_start.click()
-    finished(operator, "validate", project)
+    finished(operator, "validate")
     report = operator.page.frame_locator("[data-testid=report-frame]")
     report.get_by_role("heading").first.wait_for()
 
     operator.tab_drive.click()
     operator.tune_name.fill("first")
     operator.tune_start.click()
-    finished(operator, "tune", project)
+    finished(operator, "tune")
     operator.drive_name.fill("evening")
     operator.drive_arm.click()
     operator.wait_for_state("armed", LONGEST_S)

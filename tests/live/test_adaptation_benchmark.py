@@ -30,10 +30,11 @@ def test_a_figure_holds_within_its_bar_alone(figure, holds):
     assert figure.holds == holds
 
 
-def test_all_parts_run_and_each_figure_that_misses_its_bar_is_named(capsys):
+def test_default_parts_run_and_each_miss_is_named(capsys):
     parts = {
         "first": lambda: [Figure("share refused", 0.5, least=0.99), Figure("ratio", 1.0, most=1.1)],
         "second": lambda: [Figure("inside", 95.0, 87.0, 93.0)],
+        "good": lambda: [Figure("ratio", 1.0, most=1.1)],
         "slow": lambda: pytest.fail("it is not among those that run by default"),
     }
     with pytest.raises(SystemExit) as ended:
@@ -42,13 +43,7 @@ def test_all_parts_run_and_each_figure_that_misses_its_bar_is_named(capsys):
     assert "inside: got 95, expected 87 to 93" in ended.value.code
     assert "ratio" not in ended.value.code
     assert "ratio: got 1, expected at most 1.1" in capsys.readouterr().out
-
-
-def test_without_a_miss_it_ends_as_it_should():
-    main(["good"], {"good": lambda: [Figure("ratio", 1.0, most=1.1)]})
-
-
-def test_an_unknown_part_is_refused():
+    main(["good"], parts)
     with pytest.raises(SystemExit, match="got fault, expected names out of faults"):
         main(["fault"], {"faults": list})
 

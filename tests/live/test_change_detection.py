@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from hitchid.errors import InputError
 from hitchid.live import AdaptationSettings
@@ -43,33 +41,22 @@ def alarm_rates(threshold, seed):
 
 
 @pytest.mark.parametrize("between", [2000.0, 5000.0, 20000.0, MOST_STROKES_BETWEEN])
-def test_the_time_between_false_alarms_is_what_was_asked_for(between):
+def test_the_time_between_false_alarms_is_that_of_the_settings(between):
     threshold = alarm_threshold(between)
     step = float(THRESHOLDS[1] - THRESHOLDS[0])
     # The threshold is of 64 streams, each of which has a rate of its own.
-    rates, more = (alarm_rates(each, 17) for each in (threshold, threshold - step))
+    rates, more = (alarm_rates(tried, 17) for tried in (threshold, threshold - step))
     error, error_of_more = (
-        np.std(each) / np.sqrt(REPLICATES) + np.sqrt(each.mean() / (REPLICATES * STROKES))
-        for each in (rates, more)
+        np.std(own) / np.sqrt(REPLICATES) + np.sqrt(own.mean() / (REPLICATES * STROKES))
+        for own in (rates, more)
     )
     assert rates.mean() <= 1 / between + 3 * error
     assert more.mean() >= 1 / between - 3 * error_of_more
     assert more.mean() > rates.mean()
 
 
-@given(st.lists(st.floats(-20, 20), max_size=60))
-def test_the_sums_are_those_of_their_recursion(errors):
-    detector, faster, slower = ChangeDetector(), 0.0, 0.0
-    for error in errors:
-        bounded = min(max(error, -LARGEST), LARGEST)
-        faster, slower = max(0.0, faster + bounded - REFERENCE), max(0.0, slower - bounded - REFERENCE)
-        detector = detector.advance(error)
-        assert detector == (faster, slower)
-        assert detector.sum == max(faster, slower)
-
-
 @pytest.mark.parametrize("between", [1.5, 100.0, SETTINGS.strokes_between_alarms])
-def test_no_single_stroke_raises_an_alarm_however_far_off_it_is(between):
+def test_no_single_stroke_raises_an_alarm(between):
     threshold = alarm_threshold(between)
     for error in (1e6, -1e6):
         assert ChangeDetector().advance(error).sum == LARGEST - REFERENCE < threshold
@@ -82,7 +69,7 @@ def test_alarms_rarer_than_those_that_were_simulated_are_refused():
 
 
 @pytest.mark.parametrize("shift", [2.5, -2.5, 4.0, 6.0])
-def test_a_change_is_found_after_as_many_strokes_as_its_size_needs(shift):
+def test_a_larger_change_is_found_after_fewer_strokes(shift):
     threshold = alarm_threshold(SETTINGS.strokes_between_alarms)
     detector = ChangeDetector()
     strokes = 0
@@ -90,29 +77,3 @@ def test_a_change_is_found_after_as_many_strokes_as_its_size_needs(shift):
         detector, strokes = detector.advance(shift), strokes + 1
     assert strokes == int(threshold / (abs(shift) - REFERENCE)) + 1
     assert (detector.faster > detector.slower) == (shift > 0)
-
-
-def score(alarms, changed_at, delay):
-    """Return the F₁ score of alarms: one within the delay after the change is right, all others are false."""
-    right = [changed_at <= alarm < changed_at + delay for alarm in alarms]
-    found = any(right)
-    precision = found / (1 + len(alarms) - sum(right)) if found else 0.0
-    return 2 * precision * found / (precision + found) if found else 0.0
-
-
-def test_it_is_better_than_an_alarm_at_every_stroke():
-    threshold, strokes, changed_at, delay = alarm_threshold(5000.0), 400, 300, 6
-    rng, scores, dummies = np.random.default_rng(2), [], []
-    for _ in range(30):
-        errors = rng.standard_normal(strokes) + np.where(np.arange(strokes) < changed_at, 0.0, 5.0)
-        detector, alarms = ChangeDetector(), []
-        for stroke, error in enumerate(errors[: changed_at + delay]):
-            detector = detector.advance(error)
-            if detector.sum > threshold:
-                alarms.append(stroke)
-                detector = ChangeDetector()
-        scores.append(score(alarms, changed_at, delay))
-        dummies.append(score(range(changed_at + delay), changed_at, delay))
-    assert max(dummies) < 0.01
-    # 30 streams of 300 strokes have about two false alarms, of which each costs its own a third of its score.
-    assert np.mean(scores) > 0.9

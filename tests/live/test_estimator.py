@@ -11,7 +11,7 @@ from hitchid.live.channel_state import BandFactor, ChannelEstimates, ChannelStat
 from hitchid.live.estimator import (
     Estimate,
     conditional_mean,
-    restricted,
+    speed_distance,
     updated,
     window_estimate,
     with_scatter,
@@ -38,73 +38,54 @@ def linear_strokes(seed=0, count=STROKES):
     slopes = rng.standard_normal((count, SAMPLES, 3)) * [2.0, 1.0, 0.3]
     ats = 0.2 * rng.standard_normal((count, 3))
     errors = rng.standard_normal((count, SAMPLES))
-    fits = [fit(*each) for each in zip(slopes, errors, ats, strict=True)]
+    fits = [fit(*stroke) for stroke in zip(slopes, errors, ats, strict=True)]
     return fits, errors + np.einsum("mnk,mk->mn", slopes, ats), slopes
 
 
-def posterior(measured, slopes, drift, prior=PRIOR, scatter=None):
+def posterior(measured, slopes, drift, scatter):
     """Return mean and covariance of the last of all θ, given all errors at once.
 
     With θ(i) = θ(0) + w(1) + … + w(i) their joint covariance is P + min(i, j) Q.
     """
     count, samples, _ = slopes.shape
     number = np.arange(1, count + 1)
-    among = np.kron(np.ones((count, count)), prior.covariance)
+    among = np.kron(np.ones((count, count)), PRIOR.covariance)
     among = among + np.kron(np.minimum.outer(number, number), drift)
     rows = np.zeros((count * samples, 3 * count))
     for index, slope in enumerate(slopes):
         rows[index * samples : (index + 1) * samples, 3 * index : 3 * index + 3] = slope
-    own = np.kron(np.eye(count), np.zeros((3, 3)) if scatter is None else scatter)
-    seen = rows @ (among + own) @ rows.T + np.eye(count * samples)
+    seen = rows @ (among + np.kron(np.eye(count), scatter)) @ rows.T + np.eye(count * samples)
     weights = np.linalg.solve(seen, rows @ among[:, -3:]).T
-    mean = np.tile(prior.mean, count)
-    return (
-        prior.mean + weights @ (measured.ravel() - rows @ mean),
-        among[-3:, -3:] - weights @ rows @ among[:, -3:],
-    )
+    mean = PRIOR.mean + weights @ (measured.ravel() - rows @ np.tile(PRIOR.mean, count))
+    return mean, among[-3:, -3:] - weights @ rows @ among[:, -3:]
+
+
+def assert_near(estimate, mean, covariance):
+    np.testing.assert_allclose(estimate.mean, mean, rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(estimate.covariance, covariance, rtol=0, atol=ROUNDING)
 
 
 @pytest.mark.parametrize("count", [1, 2, STROKES])
-def test_it_is_the_conditional_mean_and_covariance_of_the_changes(count):
+@pytest.mark.parametrize("scatter", [np.zeros((3, 3)), np.diag([0.4, 0.3, 0.2]) ** 2], ids=["none", "own"])
+def test_it_is_the_conditional_mean_and_covariance_of_the_changes(count, scatter):
+    """Also where each stroke has a scatter of its own."""
     fits, measured, slopes = linear_strokes(count=count)
     estimate = PRIOR
-    for each in fits:
-        estimate = updated(estimate, each, DRIFT)
-    mean, covariance = posterior(measured, slopes, DRIFT)
-    np.testing.assert_allclose(estimate.mean, mean, rtol=0, atol=ROUNDING)
-    np.testing.assert_allclose(estimate.covariance, covariance, rtol=0, atol=ROUNDING)
-
-
-def test_it_is_so_with_a_scatter_of_each_stroke():
-    fits, measured, slopes = linear_strokes(seed=1)
-    scatter = np.diag([0.4, 0.3, 0.2]) ** 2
-    estimate = PRIOR
-    for each in fits:
-        estimate = updated(estimate, with_scatter(each, scatter), DRIFT)
-    mean, covariance = posterior(measured, slopes, DRIFT, scatter=scatter)
-    np.testing.assert_allclose(estimate.mean, mean, rtol=0, atol=ROUNDING)
-    np.testing.assert_allclose(estimate.covariance, covariance, rtol=0, atol=ROUNDING)
+    for own in fits:
+        estimate = updated(estimate, with_scatter(own, scatter), DRIFT)
+    assert_near(estimate, *posterior(measured, slopes, DRIFT, scatter))
 
 
 @given(st.integers(0, 2**16), st.tuples(*3 * [st.floats(0.0, 2.0)]))
-def test_a_scatter_is_the_inverse_of_the_covariance_of_the_errors(seed, deviations):
+def test_a_scatter_is_the_inverse_of_the_errors_covariance(seed, deviations):
     rng = np.random.default_rng(seed)
     slopes, errors = rng.standard_normal((SAMPLES, 3)), rng.standard_normal(SAMPLES)
     scatter = np.diag(deviations) ** 2
     inverse = np.linalg.inv(np.eye(SAMPLES) + slopes @ scatter @ slopes.T)
-    found = with_scatter(fit(slopes, errors, np.zeros(3)), scatter)
-    np.testing.assert_allclose(found.squares, errors @ inverse @ errors, rtol=0, atol=ROUNDING)
-    np.testing.assert_allclose(found.gradient, slopes.T @ inverse @ errors, rtol=0, atol=ROUNDING)
-    np.testing.assert_allclose(found.information, slopes.T @ inverse @ slopes, rtol=0, atol=ROUNDING)
-
-
-@given(st.integers(0, 2**16))
-def test_a_stroke_never_makes_the_estimate_less_certain(seed):
-    (one,), _, _ = linear_strokes(seed, count=1)
-    later = updated(PRIOR, one, np.zeros((3, 3)))
-    np.testing.assert_array_equal(later.covariance, later.covariance.T)
-    assert np.linalg.eigvalsh(PRIOR.covariance - later.covariance).min() >= -ROUNDING
-    assert np.linalg.eigvalsh(later.covariance).min() > 0
+    scattered = with_scatter(fit(slopes, errors, np.zeros(3)), scatter)
+    np.testing.assert_allclose(scattered.squares, errors @ inverse @ errors, rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(scattered.gradient, slopes.T @ inverse @ errors, rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(scattered.information, slopes.T @ inverse @ slopes, rtol=0, atol=ROUNDING)
 
 
 def test_a_stroke_that_tells_nothing_changes_nothing():
@@ -125,33 +106,30 @@ def linear_fits_at(measured, slopes):
 def test_without_wandering_the_window_is_one_least_squares_fit():
     _, measured, slopes = linear_strokes(seed=2)
     latest, first = window_estimate(linear_fits_at(measured, slopes), PRIOR, np.zeros((3, 3)), FREE)
+    weight = np.linalg.inv(PRIOR.covariance)
     for estimate, used in ((latest, slice(None)), (first, slice(1))):
         rows, values = slopes[used].reshape(-1, 3), measured[used].ravel()
-        weight = np.linalg.inv(PRIOR.covariance)
         information = rows.T @ rows + weight
         mean = np.linalg.solve(information, rows.T @ values + weight @ PRIOR.mean)
-        np.testing.assert_allclose(estimate.mean, mean, rtol=0, atol=ROUNDING)
-        np.testing.assert_allclose(estimate.covariance, np.linalg.inv(information), rtol=0, atol=ROUNDING)
+        assert_near(estimate, mean, np.linalg.inv(information))
 
 
-def test_a_window_and_its_arrival_cost_go_on_as_if_no_stroke_had_left_it():
+def test_a_window_goes_on_as_if_none_had_left():
     _, measured, slopes = linear_strokes(seed=3)
     whole, first = window_estimate(linear_fits_at(measured, slopes), PRIOR, DRIFT, FREE)
     later, _ = window_estimate(linear_fits_at(measured[1:], slopes[1:]), first, DRIFT, FREE)
-    np.testing.assert_allclose(later.mean, whole.mean, rtol=0, atol=ROUNDING)
-    np.testing.assert_allclose(later.covariance, whole.covariance, rtol=0, atol=ROUNDING)
+    assert_near(later, *whole)
 
 
 @pytest.mark.parametrize("free", [(True, False, False), (True, True, False), (False, True, True)])
-def test_what_is_not_free_stays_and_the_rest_is_fitted_beside_it(free):
+def test_what_is_not_free_stays_beside_the_rest(free):
     free = np.array(free)
     _, measured, slopes = linear_strokes(seed=4)
     prior = Estimate(PRIOR.mean, np.diag([1.0, 0.8, 0.5]))
     latest, _ = window_estimate(linear_fits_at(measured, slopes), prior, np.zeros((3, 3)), free)
     np.testing.assert_array_equal(latest.mean[~free], prior.mean[~free])
-    np.testing.assert_allclose(
-        np.diag(latest.covariance)[~free], np.diag(prior.covariance)[~free], rtol=1e-12
-    )
+    stays = np.diag(prior.covariance)[~free]
+    np.testing.assert_allclose(np.diag(latest.covariance)[~free], stays, rtol=1e-12)
     rows = slopes.reshape(-1, 3)
     rest = measured.ravel() - rows[:, ~free] @ prior.mean[~free]
     weight = np.linalg.inv(prior.covariance)[np.ix_(free, free)]
@@ -160,72 +138,75 @@ def test_what_is_not_free_stays_and_the_rest_is_fitted_beside_it(free):
     np.testing.assert_allclose(latest.mean[free], mean, rtol=0, atol=ROUNDING)
 
 
-def test_a_restricted_fit_is_that_of_errors_with_the_others_held():
-    (one,), measured, slopes = linear_strokes(seed=6, count=1)
-    held_at = np.array([0.5, 0.6, 0.7])
-    found = restricted(one, np.array([True, False, True]), held_at)
-    at = np.array([one.at[0], held_at[1], one.at[2]])
-    errors = measured[0] - slopes[0] @ at
-    np.testing.assert_array_equal(found.at, at)
-    np.testing.assert_allclose(found.gradient[[0, 2]], slopes[0][:, [0, 2]].T @ errors, rtol=0, atol=ROUNDING)
-    assert (found.gradient[1], *found.information[1], *found.information[:, 1]) == 7 * (0.0,)
-
-
 @pytest.mark.parametrize("free", [(True, False, False), (True, False, True), (True, True, True)])
-def test_the_conditional_mean_is_that_of_least_squares_with_the_others_held(free):
+def test_the_conditional_mean_is_that_of_least_squares(free):
     free, held_at = np.array(free), np.array([9.0, 0.3, -0.2])
     precision = np.linalg.inv(PRIOR.covariance)
     shift = np.where(free, 0.0, held_at - PRIOR.mean)
     expected = np.where(free, PRIOR.mean, held_at)
     # The minimum of (θ − m)ᵀ P⁻¹ (θ − m) over the free parameters.
     expected[free] -= np.linalg.solve(precision[np.ix_(free, free)], (precision @ shift)[free])
-    found = conditional_mean(PRIOR, free, held_at)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=ROUNDING)
-    np.testing.assert_array_equal(found[~free], held_at[~free])
+    mean = conditional_mean(PRIOR, free, held_at)
+    np.testing.assert_allclose(mean, expected, rtol=0, atol=ROUNDING)
+    np.testing.assert_array_equal(mean[~free], held_at[~free])
 
 
-def estimates_and_state():
-    """Return estimates of the lifting channel by hand, and the state before any stroke."""
-    known = AdaptationSettings()
-    channel = machine.MODEL.channels[LIFTING]
-    errors = StrokeErrors(channel, machine.STEP_S, np.zeros(0), known.window)
-    bounds = Bounds.of(channel, known, "A")
-    found = ChannelEstimates(errors, bounds, [0.03, 0.02 * machine.LARGEST, 0.03], 2)
-    estimate = Estimate(np.zeros(3), found.identified)
-    return found, ChannelState(Changes(), Changes(), (Changes(),), estimate, estimate, BandFactor())
+SETTINGS, CHANNEL = AdaptationSettings(), machine.MODEL.channels[LIFTING]
+BOUNDS = Bounds.of(CHANNEL, SETTINGS, "A")
 
 
 def candidate(levels, gain, dead_zone=0.0):
     """Return what strokes of a machine with another gain tell, each of one level of its own, A."""
-    estimates, state = estimates_and_state()
-    strokes = [
-        (number, machine.stroke(LIFTING, (each,), samples=200, gain=gain, dead_zone=dead_zone))
-        for number, each in enumerate(levels)
-    ]
+    errors = StrokeErrors(CHANNEL, machine.STEP_S, np.zeros(0), SETTINGS.window)
+    estimates = ChannelEstimates(errors, BOUNDS, [0.03, 0.02 * machine.LARGEST, 0.03], 2)
+    prior = Estimate(np.zeros(3), estimates.identified)
+    state = ChannelState(Changes(), Changes(), (Changes(),), prior, prior, BandFactor())
+    options = {"samples": 200, "gain": gain, "dead_zone": dead_zone}
+    strokes = [(number, machine.stroke(LIFTING, (own,), **options)) for number, own in enumerate(levels)]
     latest, _ = estimates.of_window(state, strokes, state.arrival)
-    known = estimates.known(state, latest)
-    return known, estimates.cautious(state, strokes, known)
+    changes = estimates.known(state, latest)
+    return changes, estimates.cautious(state, strokes, changes)
 
 
-def test_at_one_level_of_command_the_gain_moves_alone_and_all_the_way():
-    known, cautious = candidate([0.3] * 5, 1.1)
+def test_at_one_level_the_gain_moves_alone():
+    changes, cautious = candidate([0.3] * 5, 1.1)
     # Five strokes of 1.5 % scatter against 3 % as identified: short by 1 / (1 + 5 · 2²) = 5 %; twice that.
-    assert known[0] == pytest.approx(np.log(1.1), rel=0.1)
-    assert (known[1], known[2]) == (0.0, 0.0)
-    np.testing.assert_array_equal(cautious, known)
+    assert changes[0] == pytest.approx(np.log(1.1), rel=0.1)
+    assert (changes[1], changes[2]) == (0.0, 0.0)
+    np.testing.assert_array_equal(cautious, changes)
 
 
 @pytest.mark.parametrize("levels", [[0.3], [0.3] * 3, [0.3, 0.3, 0.3, 0.37, 0.3]])
-def test_where_other_commands_may_follow_a_gain_alone_goes_half_the_way(levels):
-    known, cautious = candidate(levels, 1.1)
-    assert known[1] == 0.0
-    np.testing.assert_array_equal(cautious, 0.5 * known)
+def test_a_gain_alone_goes_half_the_way(levels):
+    changes, cautious = candidate(levels, 1.1)
+    assert changes[1] == 0.0
+    np.testing.assert_array_equal(cautious, 0.5 * changes)
 
 
-def test_at_commands_that_differ_gain_and_dead_zone_are_told_apart():
-    known, cautious = candidate([0.1, 0.4] * 8, 1.1, 0.01)
+def test_commands_that_differ_tell_gain_and_dead_zone_apart():
+    changes, cautious = candidate([0.1, 0.4] * 8, 1.1, 0.01)
     # Strokes of 1.5 % scatter in gain and 0.004 of the command in dead zone, 8 of each level: standard errors
     # of the gain 0.015 / √8 and of the dead zone below a half of its scatter; three of them.
-    assert known[0] == pytest.approx(np.log(1.1), abs=3 * 0.015 / np.sqrt(8))
-    assert known[1] == pytest.approx(0.01, abs=1.5 * 0.004 * machine.LARGEST)
-    np.testing.assert_array_equal(cautious, known)
+    assert changes[0] == pytest.approx(np.log(1.1), abs=3 * 0.015 / np.sqrt(8))
+    assert changes[1] == pytest.approx(0.01, abs=1.5 * 0.004 * machine.LARGEST)
+    np.testing.assert_array_equal(cautious, changes)
+
+
+PIECES, DRAWS = 10, 4000
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.99])
+def test_distances_of_strokes_have_a_variance_of_one(correlation):
+    """However gain and dead zone are known apart, against draws from the distribution that is assumed."""
+    rng = np.random.default_rng(3)
+    # A larger gain and a smaller dead zone give the same speed: their slopes are alike.
+    slopes = rng.uniform(20.0, 40.0, (PIECES, 1)) * [1.0, -2.0, 0.0] + rng.standard_normal((PIECES, 3))
+    deviations, correlations = np.array([0.1, 0.05, 0.05]), np.eye(3)
+    correlations[0, 1] = correlations[1, 0] = correlation
+    predicted = Estimate(np.array([0.1, 0.01, 0.0]), correlations * np.outer(deviations, deviations))
+    covariance = predicted.covariance + np.diag(BOUNDS.drift**2)
+    changes = rng.multivariate_normal(predicted.mean, covariance, DRAWS)
+    errors = (changes - predicted.mean) @ slopes.T + rng.standard_normal((DRAWS, PIECES))
+    distances = [speed_distance(fit(slopes, own, predicted.mean), predicted, BOUNDS) for own in errors]
+    # Four standard deviations of a variance of so many draws.
+    assert np.var(distances) == pytest.approx(1.0, abs=4 * np.sqrt(2 / DRAWS))

@@ -36,18 +36,18 @@ def numbered(commands):
     return np.arange(float(len(commands)))
 
 
-def cut(commands, displacement=None, edges=()):
+def cut(commands, edges=()):
     """Return the strokes of a stream that comes in blocks between some edges."""
-    displacement = numbered(commands) if displacement is None else displacement
-    cutter, found = StrokeCutter(MODEL), []
-    for block, measured in zip(np.split(commands, edges), np.split(displacement, edges), strict=True):
-        found += cutter.feed(block, measured)
-    return found + cutter.finish()
+    cutter, strokes = StrokeCutter(MODEL), []
+    blocks = np.split(commands, edges), np.split(numbered(commands), edges)
+    for block, measured in zip(*blocks, strict=True):
+        strokes += cutter.feed(block, measured)
+    return strokes + cutter.finish()
 
 
-def assert_same(found, expected):
-    assert [each[:3] for each in found] == [each[:3] for each in expected]
-    for one, other in zip(found, expected, strict=True):
+def assert_same(strokes, expected):
+    assert [stroke[:3] for stroke in strokes] == [stroke[:3] for stroke in expected]
+    for one, other in zip(strokes, expected, strict=True):
         np.testing.assert_array_equal(one.commands, other.commands)
         np.testing.assert_array_equal(one.displacement, other.displacement)
 
@@ -69,48 +69,46 @@ def test_every_active_sample_is_in_one_stroke_of_its_direction(pieces):
     directions = {"lift": LIFTING, "half": LIFTING, "lower": LOWERING, "both": ""}
     expected = [directions.get(kind) for kind, samples in pieces for _ in range(samples)]
     seen = np.zeros(len(commands), int)
-    for each in cut(commands):
-        samples = each.displacement.astype(int)
-        assert samples[0] == each.begin - each.rest
-        assert samples[-1] + 1 == each.end
+    for stroke in cut(commands):
+        samples = stroke.displacement.astype(int)
+        assert samples[0] == stroke.begin - stroke.rest
+        assert samples[-1] + 1 == stroke.end
         np.testing.assert_array_equal(np.diff(samples), 1)
-        np.testing.assert_array_equal(each.commands, commands[samples])
-        assert 0 <= each.rest <= REST_SAMPLES
-        own = samples[each.rest :]
-        assert expected[own[0]] == each.direction
-        assert {expected[sample] for sample in own} <= {each.direction, None}
-        assert {expected[sample] for sample in samples[: each.rest]} <= {None}
+        np.testing.assert_array_equal(stroke.commands, commands[samples])
+        assert 0 <= stroke.rest <= REST_SAMPLES
+        own = samples[stroke.rest :]
+        assert expected[own[0]] == stroke.direction
+        assert {expected[sample] for sample in own} <= {stroke.direction, None}
+        assert {expected[sample] for sample in samples[: stroke.rest]} <= {None}
         seen[own] += 1
     assert np.all(seen[[kind is not None for kind in expected]] == 1)
     assert np.all(seen <= 1)
 
 
-def test_a_stroke_ends_when_its_command_has_been_away_for_the_time_to_settle():
+def test_a_stroke_ends_after_the_time_to_settle():
     commands = commands_of(("rest", 80), ("lift", 40), ("rest", 200))
     cutter = StrokeCutter(MODEL)
     until = 80 + 40 + SETTLED
     assert cutter.feed(commands[: until - 1], numbered(commands)[: until - 1]) == []
     assert cutter.moves
-    (found,) = cutter.feed(commands[until - 1 : until], numbered(commands)[until - 1 : until])
+    (stroke,) = cutter.feed(commands[until - 1 : until], numbered(commands)[until - 1 : until])
     assert not cutter.moves
-    assert (found.direction, found.begin, found.rest, found.end) == (LIFTING, 80, REST_SAMPLES, until)
+    assert (stroke.direction, stroke.begin, stroke.rest, stroke.end) == (LIFTING, 80, REST_SAMPLES, until)
     assert cutter.finish() == []
 
 
-def test_a_short_pause_is_a_part_of_its_stroke_and_a_change_of_direction_ends_it():
+def test_a_turn_ends_a_stroke_and_a_pause_does_not():
     commands = commands_of(("lift", 40), ("rest", SETTLED - 1), ("lift", 40), ("rest", 7), ("lower", 40))
     up, down = cut(commands)
     turn = 80 + SETTLED - 1 + 7
     assert (up.direction, up.begin, up.rest, up.end) == (LIFTING, 0, 0, turn)
     assert (down.direction, down.begin, down.rest, down.end) == (LOWERING, turn, 7, turn + 40)
-
-
-def test_a_command_of_both_valves_is_a_stroke_of_no_direction():
+    # A command of both valves is a stroke of no direction.
     commands = commands_of(("rest", 9), ("lift", 40), ("both", 30), ("lower", 40), ("rest", SETTLED))
-    assert [each.direction for each in cut(commands)] == [LIFTING, "", LOWERING]
+    assert [stroke.direction for stroke in cut(commands)] == [LIFTING, "", LOWERING]
 
 
-def test_of_the_longest_stroke_the_rest_is_left_out_and_the_next_one_has_no_rest_of_it():
+def test_of_the_longest_stroke_the_rest_is_left_out():
     commands = commands_of(("rest", 50), ("lift", 2 * LONGEST), ("rest", SETTLED), ("lower", 20))
     long, next_one = cut(commands)
     assert len(long.displacement) == LONGEST
@@ -119,23 +117,18 @@ def test_of_the_longest_stroke_the_rest_is_left_out_and_the_next_one_has_no_rest
     assert next_one.displacement[next_one.rest] == next_one.begin
 
 
-def size_of(cutter):
-    """Return the number of samples that a cutter holds."""
-    return sum(len(rows) for rows in cutter._rows)
-
-
 @pytest.mark.parametrize("kind", ["rest", "none", "lift"])
 def test_memory_does_not_grow(kind):
     cutter = StrokeCutter(MODEL)
     block = commands_of((kind, 1000))
     for number in range(300):
         assert cutter.feed(block, np.full(1000, float(number))) == []
-        assert size_of(cutter) <= max(REST_SAMPLES, LONGEST * (kind == "lift"))
+        assert sum(map(len, cutter._rows)) <= max(REST_SAMPLES, LONGEST * (kind == "lift"))
         assert len(cutter._rows) <= LONGEST / 1000 + 1
 
 
 def test_a_direction_without_a_channel_has_no_strokes():
     cutter = StrokeCutter(handmade.hitch(modes=(LIFTING,), covered=machine.COVERED))
     commands = commands_of(("lower", 100), ("rest", SETTLED), ("both", 50))
-    (found,) = [*cutter.feed(commands, numbered(commands)), *cutter.finish()]
-    assert (found.direction, found.begin) == (LIFTING, 100 + SETTLED)
+    (stroke,) = [*cutter.feed(commands, numbered(commands)), *cutter.finish()]
+    assert (stroke.direction, stroke.begin) == (LIFTING, 100 + SETTLED)

@@ -23,17 +23,19 @@ def module_environment() -> dict[str, str]:
 def connected_module(
     module: str, *arguments: str, new_session: bool = False
 ) -> tuple[subprocess.Popen[bytes], Connection]:
-    """Return a process that runs a module, and the connection to it.
+    """Return a process that runs a module's `main`, and the connection to it.
 
     Args:
-        module: that is run; its first argument is the file descriptor of its end of the connection.
-        arguments: its further ones.
+        module: its `main` is given the file descriptor of its end of the connection, and the arguments.
+        arguments: further ones.
         new_session: whether a closed terminal or Ctrl-Z must not take it along.
     """
+    # Not by `-m`: a package that imports the module would have it run a second time, of which Python warns.
+    program = f"import sys; from {module} import main; main(sys.argv[1:])"
     own, other = socket.socketpair()
     with other:
         process = subprocess.Popen(  # noqa: S603 - this Python, a module of this package
-            module_command(module, str(other.fileno()), *arguments),
+            [sys.executable, "-P", "-c", program, str(other.fileno()), *arguments],
             pass_fds=(other.fileno(),),
             start_new_session=new_session,
             env=module_environment(),

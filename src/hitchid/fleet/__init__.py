@@ -28,28 +28,16 @@ if TYPE_CHECKING:
     from hitchid.fleet.store import Store as Store
     from hitchid.fleet.store import StoreError as StoreError
 
-_HOME = {
-    "Cost": "row",
-    "DirectionRow": "row",
-    "DriftRow": "row",
-    "FleetComparison": "comparison",
-    "FleetProgress": "run",
-    "FleetResult": "run",
-    "Metadata": "parameters",
-    "Row": "row",
-    "Runner": "run",
-    "Store": "store",
-    "StoreError": "store",
-    "ValidationRow": "row",
-    "compare_fleet": "comparison",
-    "identify_fleet": "jobs",
-    "load_model": "ledger",
-    "newest": "ledger",
-    "ranked": "jobs",
-    "read_metadata": "parameters",
-    "read_rows": "ledger",
-    "validate_fleet": "jobs",
+_NAMES = {
+    "comparison": ("FleetComparison", "compare_fleet"),
+    "jobs": ("identify_fleet", "ranked", "validate_fleet"),
+    "ledger": ("load_model", "newest", "read_rows"),
+    "parameters": ("Metadata", "read_metadata"),
+    "row": ("Cost", "DirectionRow", "DriftRow", "Row", "ValidationRow"),
+    "run": ("FleetProgress", "FleetResult", "Runner"),
+    "store": ("Store", "StoreError"),
 }
+_HOME = {name: module for module, names in _NAMES.items() for name in names}
 
 
 def __getattr__(name: str) -> object:

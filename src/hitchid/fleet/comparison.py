@@ -319,6 +319,7 @@ def _commonest_kinds(rows: Sequence[Row]) -> dict[str, Kind]:
     for direction in DIRECTIONS:
         counts = Counter(kind_of(row, direction) for row in rows if direction in row.directions)
         if counts:
+            # Of equally many the first by name: the order of the rows must not matter.
             kinds[direction] = min(counts, key=lambda kind: (-counts[kind], kind))
     return kinds
 

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.stats import norm
 
 from hitchid.fleet.row import DirectionRow
-from hitchid.identification import ChannelTrace, Identification
+from hitchid.identification import Identification
 from hitchid.logs.campaign import Campaign
-from hitchid.model import Estimate, Hitch, Information, Quantity
+from hitchid.model import Estimate, Information, Quantity
 from hitchid.model.estimates import NOT_ASSESSED
 
 HALF_WIDTH = float(norm.ppf(0.975))  # of a 95 % interval, in standard errors
@@ -20,39 +20,35 @@ HALF_WIDTH = float(norm.ppf(0.975))  # of a 95 % interval, in standard errors
 
 def direction_rows(identification: Identification, campaign: Campaign) -> Mapping[str, DirectionRow]:
     """Return direction to the figures of an identified model; its held-out tests are simulated."""
-    return {
-        direction: _direction_row(identification.model, campaign, direction, trace)
-        for direction, trace in identification.channels.items()
-    }
-
-
-def _direction_row(model: Hitch, campaign: Campaign, direction: str, trace: ChannelTrace) -> DirectionRow:
-    estimates, structure = trace.phase1.assessment, model.channels[direction].benchmark.structure
-    gain = next(estimate for estimate in estimates.parameters if estimate.name == structure.gain)
-    information = None if trace.uncertainty is None else trace.uncertainty.information
-    delay = None if trace.characteristics is None else trace.characteristics.delay
-    scatter = None if trace.uncertainty is None else trace.uncertainty.load_scatter
-    gain_error = None
-    if gain.error is not None and gain.method != NOT_ASSESSED and gain.value > 0:  # not at a bound
-        gain_error = gain.error / gain.value  # of ln gain
-    held_out = [
-        (model.simulate(record).displacement - record.displacement) ** 2
-        for record in campaign.held_out(direction)
-    ]
-    return DirectionRow(
-        structure=f"{structure.name}: {', '.join(estimate.name for estimate in estimates.parameters)}",
-        gain=gain.value,
-        dead_zone=model.channels[direction].dead_zone,
-        gain_error=gain_error,
-        dead_zone_error=trace.dead_zone.error.standard_error,
-        correlation=_correlation(information, gain, gain_error),
-        delay_s=None if delay is None else delay.value,
-        delay_error_s=None if delay is None else _error(delay),
-        load_scatter=None if scatter is None or not scatter.determined else scatter.scatter,
-        rmse=trace.phase1.rmse,
-        held_out_rmse=float(np.sqrt(np.nanmean(np.concatenate(held_out)))) if held_out else None,
-        tests=estimates.tests,
-    )
+    model, rows = identification.model, {}
+    for direction, trace in identification.channels.items():
+        estimates, structure = trace.phase1.assessment, model.channels[direction].benchmark.structure
+        gain = next(estimate for estimate in estimates.parameters if estimate.name == structure.gain)
+        information = None if trace.uncertainty is None else trace.uncertainty.information
+        delay = None if trace.characteristics is None else trace.characteristics.delay
+        scatter = None if trace.uncertainty is None else trace.uncertainty.load_scatter
+        gain_error = None
+        if gain.error is not None and gain.method != NOT_ASSESSED and gain.value > 0:  # not at a bound
+            gain_error = gain.error / gain.value  # of ln gain
+        held_out = [
+            (model.simulate(record).displacement - record.displacement) ** 2
+            for record in campaign.held_out(direction)
+        ]
+        rows[direction] = DirectionRow(
+            structure=f"{structure.name}: {', '.join(estimate.name for estimate in estimates.parameters)}",
+            gain=gain.value,
+            dead_zone=model.channels[direction].dead_zone,
+            gain_error=gain_error,
+            dead_zone_error=trace.dead_zone.error.standard_error,
+            correlation=_correlation(information, gain, gain_error),
+            delay_s=None if delay is None else delay.value,
+            delay_error_s=None if delay is None else _error(delay),
+            load_scatter=None if scatter is None or not scatter.determined else scatter.scatter,
+            rmse=trace.phase1.rmse,
+            held_out_rmse=float(np.sqrt(np.nanmean(np.concatenate(held_out)))) if held_out else None,
+            tests=estimates.tests,
+        )
+    return rows
 
 
 def _correlation(information: Information | None, gain: Estimate, gain_error: float | None) -> float:

@@ -158,12 +158,32 @@ def forest(comparison: FleetComparison, direction: str) -> Figure:
     those that stand out are drawn, and the quantiles of the others.
     """
     shown, others = shown_machines(comparison)
-    columns = [index for index, each in enumerate(comparison.parameters) if each.direction == direction]
+    parameters, codes = comparison.parameters, verdict_codes(comparison)
+    columns = [index for index, parameter in enumerate(parameters) if parameter.direction == direction]
     rows = len(shown) + bool(others)
     figure = Figure(figsize=(PAGE_IN, max(LEAST_IN, MARGIN_IN + ROW_IN * rows)))
     panels = np.atleast_1d(figure.subplots(1, len(columns), sharey=True))
     for axes, column in zip(panels, columns, strict=True):
-        _forest_panel(axes, comparison, column, shown, others)
+        parameter, population = parameters[column], comparison.populations[column]
+        estimates = comparison.estimates[shown, column]
+        half_width = HALF_WIDTH * np.sqrt(comparison.covariances[shown, column, column])
+        limits = (estimates, estimates - half_width, estimates + half_width)
+        values, lower, upper = map(parameter.value, limits)
+        if not np.isnan(population.mean):
+            of_mean, of_another = (
+                parameter.value(np.array(ends))
+                for ends in (population.mean_interval, population.prediction_interval)
+            )
+            axes.axvspan(*of_another, color=GRID, alpha=0.6, linewidth=0, zorder=0)
+            axes.axvspan(*of_mean, color=FAINT, alpha=0.45, linewidth=0, zorder=0.1)
+            axes.axvline(float(parameter.value(population.mean)), color=INK, linewidth=0.7, zorder=0.2)
+        draw_machine_intervals(axes, values, lower, upper, codes[shown, column])
+        if others:
+            draw_quantiles(axes, parameter.value(comparison.estimates[others, column]), len(shown))
+        axes.set_xlabel(axis_label(parameter))
+        axes.xaxis.set_major_locator(MaxNLocator(3))
+        axes.grid(visible=False, axis="y")
+        axes.tick_params(axis="y", length=0)
     labels = [short_name(comparison.machines[machine]) for machine in shown]
     labels += [f"the other {len(others)}"] if others else []
     panels[0].set_yticks(range(rows), labels, fontsize=6.5)
@@ -171,46 +191,45 @@ def forest(comparison: FleetComparison, direction: str) -> Figure:
     return figure
 
 
-def _forest_panel(
-    axes: Axes, comparison: FleetComparison, column: int, shown: Sequence[int], others: Sequence[int]
-) -> None:
-    parameter, population = comparison.parameters[column], comparison.populations[column]
-    estimates = comparison.estimates[shown, column]
-    half_width = HALF_WIDTH * np.sqrt(comparison.covariances[shown, column, column])
-    limits = (estimates, estimates - half_width, estimates + half_width)
-    values, lower, upper = (parameter.value(each) for each in limits)
-    if not np.isnan(population.mean):
-        mean, of_mean, of_another = (
-            parameter.value(np.array(number))
-            for number in (population.mean, population.mean_interval, population.prediction_interval)
-        )
-        axes.axvspan(of_another[0], of_another[1], color=GRID, alpha=0.6, linewidth=0, zorder=0)
-        axes.axvspan(of_mean[0], of_mean[1], color=FAINT, alpha=0.45, linewidth=0, zorder=0.1)
-        axes.axvline(float(mean), color=INK, linewidth=0.7, zorder=0.2)
-    draw_machine_intervals(axes, values, lower, upper, verdict_codes(comparison)[shown, column])
-    if others:
-        draw_quantiles(axes, parameter.value(comparison.estimates[others, column]), len(shown))
-    axes.set_xlabel(axis_label(parameter))
-    axes.xaxis.set_major_locator(MaxNLocator(3))
-    axes.grid(visible=False, axis="y")
-    axes.tick_params(axis="y", length=0)
-
-
 @styled
 def scatter(comparison: FleetComparison) -> Figure:
-    """Return gain over dead zone of the machines of each direction, with ellipses of 95 %.
+    """Return gain over dead zone of the machines of each direction in which one has both, with ellipses.
 
     Thin ellipses are of the errors, of more than sixty machines only of those that stand out; the wide one
-    is of the distribution over machines.
-
-    Args:
-        comparison: of machines with gain and dead zone in a direction at least.
+    is of the distribution over machines; 95 % of both.
     """
     directions = directions_with_both(comparison)
     figure = Figure(figsize=(PAGE_IN, PANEL_IN))
     panels = np.atleast_1d(figure.subplots(1, len(directions)))
     for axes, direction in zip(panels, directions, strict=True):
-        _scatter_panel(axes, comparison, direction)
+        columns, machines = np.array(_columns(comparison, direction)), _with_both(comparison, direction)
+        outlying = np.any(comparison.outliers.named[machines][:, columns], axis=1)
+        points = comparison.estimates[machines][:, columns]
+        with_ellipse = outlying if machines.size > MOST_ROWS else np.ones(machines.size, bool)
+        errors = comparison.covariances[machines][:, columns[:, None], columns]
+        curves = [
+            _in_units(ellipse(point, error)).T
+            for point, error in zip(points[with_ellipse], errors[with_ellipse], strict=True)
+        ]
+        axes.add_collection(LineCollection(curves, colors=COLOURS["one_step"], linewidths=0.4))
+        axes.autoscale_view()
+        names = [
+            short_name(comparison.machines[machine]) if stands_out else ""
+            for machine, stands_out in zip(machines, outlying, strict=True)
+        ]
+        dead_zones, gains = _in_units(points.T)
+        draw_machine_points(axes, dead_zones, gains, outlying, names)
+        of_model, fit = comparison.hierarchies.get(direction, ((), None))
+        if fit is not None and set(columns.tolist()) <= set(of_model):
+            places = np.array([of_model.index(column) for column in columns])
+            covariance = (fit.between + fit.mean_covariance)[places[:, None], places]
+            curve = _in_units(ellipse(fit.mean[places], covariance))
+            axes.plot(*curve, color=INK, linewidth=1.2, label="95 % of the machines")
+        logarithmic(axes.yaxis)
+        axes.xaxis.set_major_locator(MaxNLocator(5))
+        for set_label, column in zip((axes.set_xlabel, axes.set_ylabel), columns, strict=True):
+            set_label(axis_label(comparison.parameters[column]))
+        axes.set_title(direction, loc="left")
     legend_above(figure, *panels, columns=3)
     return figure
 
@@ -222,8 +241,8 @@ def directions_with_both(comparison: FleetComparison) -> list[str]:
 
 def _columns(comparison: FleetComparison, direction: str) -> list[int]:
     """Return the indices of dead zone and gain."""
-    found = (comparison.column(direction, name) for name in (DEAD_ZONE, GAIN))
-    return [index for index in found if index is not None]
+    columns = (comparison.column(direction, name) for name in (DEAD_ZONE, GAIN))
+    return [column for column in columns if column is not None]
 
 
 def _with_both(comparison: FleetComparison, direction: str) -> np.ndarray:
@@ -238,56 +257,17 @@ def _with_both(comparison: FleetComparison, direction: str) -> np.ndarray:
     return np.sort(np.concatenate([np.flatnonzero(has_both & outlying), alike[::every]]))
 
 
-def _scatter_panel(axes: Axes, comparison: FleetComparison, direction: str) -> None:
-    columns, machines = np.array(_columns(comparison, direction)), _with_both(comparison, direction)
-    outlying = np.any(comparison.outliers.named[machines][:, columns], axis=1)
-    points = comparison.estimates[machines][:, columns]
-    with_ellipse = outlying if machines.size > MOST_ROWS else np.ones(machines.size, bool)
-    errors = comparison.covariances[machines][:, columns[:, None], columns]
-    curves = [
-        _in_units(ellipse(point, error))
-        for point, error in zip(points[with_ellipse], errors[with_ellipse], strict=True)
-    ]
-    lines = LineCollection([curve.T for curve in curves], colors=COLOURS["one_step"], linewidths=0.4)
-    axes.add_collection(lines)
-    axes.autoscale_view()
-    dead_zones, gains = _in_units(points.T)
-    names = [
-        short_name(comparison.machines[machine]) if stands_out else ""
-        for machine, stands_out in zip(machines, outlying, strict=True)
-    ]
-    draw_machine_points(axes, dead_zones, gains, outlying, names)
-    _draw_population(axes, comparison, direction, columns)
-    logarithmic(axes.yaxis)
-    axes.xaxis.set_major_locator(MaxNLocator(5))
-    for set_label, column in zip((axes.set_xlabel, axes.set_ylabel), columns, strict=True):
-        set_label(axis_label(comparison.parameters[column]))
-    axes.set_title(direction, loc="left")
-
-
 def _in_units(curve: np.ndarray) -> np.ndarray:
     """Return dead zones and gains of dead zones and logarithms of gains, shape [2, K]."""
     return np.stack([curve[0], np.exp(curve[1])])
 
 
-def _draw_population(axes: Axes, comparison: FleetComparison, direction: str, columns: np.ndarray) -> None:
-    of_model, fit = comparison.hierarchies.get(direction, ((), None))
-    if fit is None or not set(columns.tolist()) <= set(of_model):
-        return
-    places = np.array([of_model.index(column) for column in columns])
-    covariance = (fit.between + fit.mean_covariance)[places[:, None], places]
-    curve = _in_units(ellipse(fit.mean[places], covariance))
-    axes.plot(*curve, color=INK, linewidth=1.2, label="95 % of the machines")
-
-
 @styled
 def verdicts(comparison: FleetComparison) -> Figure:
-    """Return the verdict on each parameter of each machine.
+    """Return the verdict on parameter parameter of parameter machine.
 
     Machines that could not be identified are the last rows; of more than sixty, those that stand out alone.
-
-    Args:
-        comparison: of the machines, with at least one to be shown.
+    At least one has to be shown.
     """
     names, codes = verdict_rows(comparison)
     figure = Figure(figsize=(PAGE_IN, max(LEAST_IN, 1.2 * MARGIN_IN + ROW_IN * len(names))))
@@ -298,7 +278,7 @@ def verdicts(comparison: FleetComparison) -> Figure:
             axes.scatter(columns, rows, s=area, marker=marker, color=colour, label=label, linewidths=1.0)
     axes.set_xlim(-0.5, codes.shape[1] - 0.5)
     axes.set_ylim(codes.shape[0] - 0.5, -0.5)  # the first machine at the top
-    labels = [f"{each.direction}\n{each.name}" for each in comparison.parameters]
+    labels = [f"{parameter.direction}\n{parameter.name}" for parameter in comparison.parameters]
     axes.set_xticks(range(len(labels)), labels, fontsize=6.5)
     axes.set_yticks(range(len(names)), [short_name(name) for name in names], fontsize=6.5)
     axes.tick_params(length=0)
@@ -322,10 +302,8 @@ def verdict_rows(comparison: FleetComparison) -> tuple[list[str], Int[np.ndarray
 def speed_fan(comparison: FleetComparison) -> Figure:
     """Return steady speed over command of all machines, with those that stand out in gain or dead zone.
 
-    speed = gain · (command − dead zone): what nonlinearities of the structure add is left out.
-
-    Args:
-        comparison: of machines with gain and dead zone in a direction at least.
+    speed = gain · (command − dead zone): what nonlinearities of the structure add is left out. A machine has
+    both in a direction at least.
     """
     directions = directions_with_both(comparison)
     figure = Figure(figsize=(PAGE_IN, PANEL_IN))

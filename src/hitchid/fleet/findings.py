@@ -6,7 +6,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from hitchid.fleet.comparison import FleetComparison
-from hitchid.fleet.outliers import CohortEffect
 from hitchid.fleet.parameters import DEAD_ZONE, DELAY, GAIN, LOAD_SCATTER, FleetParameter
 from hitchid.report import numbers
 from hitchid.report.document import Finding, Rating
@@ -21,7 +20,7 @@ def fleet_findings(comparison: FleetComparison) -> tuple[Finding, ...]:
     """Return what stands out, changes, differs between cohorts and failed."""
     findings = [_how_many(comparison)]
     for table, sentences in (
-        ("outliers", outlier_sentences(comparison)),
+        ("outliers", _outlier_sentences(comparison)),
         ("trends", _trend_sentences(comparison)),
         ("cohorts", _cohort_sentences(comparison)),
     ):
@@ -63,18 +62,24 @@ def detectable(comparison: FleetComparison) -> str:
     return f"A single machine is named with a probability of 90 % if it differs in {', '.join(parts)}."
 
 
-def outlier_sentences(comparison: FleetComparison) -> Iterator[str]:
+def differences(
+    parameter: FleetParameter, cell: tuple[int, int], *estimates: np.ndarray
+) -> tuple[float, ...]:
+    """Return what stands in one cell of each of some estimates, as differences of the parameter."""
+    return tuple(float(parameter.difference(own[cell])) for own in estimates)
+
+
+def _outlier_sentences(comparison: FleetComparison) -> Iterator[str]:
     """Yield a sentence for each parameter in which a machine stands out, smallest p-value first."""
     outliers = comparison.outliers
-    for machine, column in outliers.ranking:
-        parameter = comparison.parameters[column]
-        deviation, lower, upper = (
-            float(parameter.difference(each[machine, column]))
-            for each in (outliers.deviation, outliers.lower, outliers.upper)
+    for cell in outliers.ranking:
+        parameter = comparison.parameters[cell[1]]
+        deviation, lower, upper = differences(
+            parameter, cell, outliers.deviation, outliers.lower, outliers.upper
         )
         ends = signed_range(parameter, lower, upper)
         effect = _effect(parameter, deviation)
-        yield f"{comparison.machines[machine]} {effect} than the others (interval {ends})."
+        yield f"{comparison.machines[cell[0]]} {effect} than the others (interval {ends})."
 
 
 def _effect(parameter: FleetParameter, deviation: float) -> str:
@@ -88,22 +93,16 @@ def _effect(parameter: FleetParameter, deviation: float) -> str:
     }[parameter.name]
 
 
-def difference_unit(parameter: FleetParameter) -> str:
-    """Return the unit in which a difference is stated: % for a logarithm."""
-    return "%" if parameter.logarithmic else parameter.unit
-
-
 def amount(parameter: FleetParameter, difference: float | np.ndarray) -> str:
-    """Return a difference to two digits with its unit."""
-    scaled = float(difference) * (100 if parameter.logarithmic else 1)
-    return f"{_two_digits(scaled)} {difference_unit(parameter)}"
+    """Return a difference to two digits with its unit: % for a logarithm."""
+    factor, unit = (100, "%") if parameter.logarithmic else (1, parameter.unit)
+    return f"{_two_digits(factor * float(difference))} {unit}"
 
 
 def signed_range(parameter: FleetParameter, lower: float, upper: float) -> str:
     """Return two ends of a difference with their signs and unit."""
-    factor = 100 if parameter.logarithmic else 1
-    ends = (f"{_sign(end)}{_two_digits(factor * abs(end))}" for end in (lower, upper))
-    return f"{' … '.join(ends)} {difference_unit(parameter)}"
+    factor, unit = (100, "%") if parameter.logarithmic else (1, parameter.unit)
+    return f"{' … '.join(f'{_sign(end)}{_two_digits(factor * abs(end))}' for end in (lower, upper))} {unit}"
 
 
 def signed_amount(parameter: FleetParameter, difference: float) -> str:
@@ -124,45 +123,36 @@ def _trend_sentences(comparison: FleetComparison) -> Iterator[str]:
     trends = comparison.trends
     if trends is None:
         return
-    for row, column in trends.ranking:
-        line = int(np.flatnonzero(trends.machines == row)[0])
-        if not trends.q_values[line, column] <= comparison.false_discovery_rate:
+    for machine, column in trends.ranking:
+        cell = int(np.flatnonzero(trends.machines == machine)[0]), column
+        if not trends.q_values[cell] <= comparison.false_discovery_rate:
             return
         parameter = comparison.parameters[column]
-        slope, lower, upper = (
-            float(parameter.difference(each[line, column]))
-            for each in (trends.slopes, trends.lower, trends.upper)
-        )
+        slope, lower, upper = differences(parameter, cell, trends.slopes, trends.lower, trends.upper)
         verb = "rises" if slope > 0 else "falls"
         yield (
-            f"{comparison.machines[row]}: {parameter.name} of {parameter.direction} {verb} by "
+            f"{comparison.machines[machine]}: {parameter.name} of {parameter.direction} {verb} by "
             f"{amount(parameter, abs(slope))} a year (95 %: {signed_range(parameter, lower, upper)})."
         )
 
 
 def _cohort_sentences(comparison: FleetComparison) -> Iterator[str]:
+    """Yield how a parameter differs over a column of the metadata, smallest p-value first."""
     for effect in sorted(comparison.cohorts, key=lambda effect: effect.p_value):
-        if effect.q_value <= comparison.false_discovery_rate:
-            yield cohort_sentence(comparison, effect)
-
-
-def cohort_sentence(comparison: FleetComparison, effect: CohortEffect) -> str:
-    """Return how a parameter differs over a column of the metadata."""
-    parameter = comparison.parameters[effect.parameter]
-    name = f"{parameter.name} of {parameter.direction}"
-    if effect.labels:
-        values = (
-            f"{label} {numbers.digits(float(parameter.value(value)))}"
-            for label, value in zip(effect.labels, effect.values, strict=True)
-        )
-        means = f"{', '.join(values)} {parameter.unit}"
-        return f"The {name} depends on {effect.column}: {means} ({q_text(effect.q_value)})."
-    slope = float(parameter.difference(effect.values[0]))
-    verb = "rises" if slope > 0 else "falls"
-    return (
-        f"The {name} {verb} with {effect.column}, by {amount(parameter, abs(slope))} for each unit "
-        f"({q_text(effect.q_value)})."
-    )
+        if not effect.q_value <= comparison.false_discovery_rate:
+            continue
+        parameter = comparison.parameters[effect.parameter]
+        name, q = f"{parameter.name} of {parameter.direction}", q_text(effect.q_value)
+        if effect.labels:
+            values = (
+                f"{label} {numbers.digits(float(parameter.value(value)))}"
+                for label, value in zip(effect.labels, effect.values, strict=True)
+            )
+            yield f"The {name} depends on {effect.column}: {', '.join(values)} {parameter.unit} ({q})."
+        else:
+            slope = float(parameter.difference(effect.values[0]))
+            verb, size = "rises" if slope > 0 else "falls", amount(parameter, abs(slope))
+            yield f"The {name} {verb} with {effect.column}, by {size} for each unit ({q})."
 
 
 def q_text(q_value: float) -> str:

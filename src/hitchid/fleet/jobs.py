@@ -66,14 +66,14 @@ class IdentificationJob(Job[Row]):
             for direction, trace in identification.channels.items()
             for notice in trace.notices
         )
-        found = replace(
+        identified = replace(
             row,
             digest=load(model_folder).provenance.digest,
             units=dict(identification.model.units),
             directions=direction_rows(identification, campaign),
             notices=notices,
         )
-        return found, sum(map(len, files.values()))
+        return identified, sum(map(len, files.values()))
 
 
 # Validation of one machine of a fleet: its model on new logs, faults, and drift since the identification.
@@ -205,21 +205,27 @@ def drift_of(channel: Channel, records: Sequence[Record], identified: DirectionR
     mask = np.asarray(batch.loss_mask & batch.valid)
     errors = (np.asarray(batch.displacement) - np.asarray(channel.simulate(batch)))[mask]
     rmse, before = float(np.sqrt(np.mean(errors**2))), identified.held_out_rmse or identified.rmse
-    unchanged = DriftRow(None, None, None, None, None, rmse, before, tests=len(records))
-    if len(records) < MIN_TESTS:
+    tests = len(records)
+    unchanged = DriftRow(None, None, None, None, None, rmse, before, tests)
+    if tests < MIN_TESTS:
         return unchanged
-    change = fit_change(channel, records)
+    theta, covariance = fit_change(channel, records)
     errors = np.array([identified.gain_error or 0.0, identified.dead_zone_error])
     correlation = np.array([[1.0, identified.correlation], [identified.correlation, 1.0]])
-    covariance = change.covariance + np.outer(errors, errors) * correlation
+    covariance = covariance + np.outer(errors, errors) * correlation
     deviations = np.sqrt(np.diag(covariance))
+    p_value = None
+    if identified.gain_error is not None:  # Hotelling's T² with tests − 1 degrees of freedom
+        statistic, below = float(theta @ np.linalg.pinv(covariance) @ theta), tests - PARAMETERS
+        ratio = statistic * below / (PARAMETERS * (tests - 1))
+        p_value = float(f_distribution.sf(ratio, PARAMETERS, below))
     return replace(
         unchanged,
-        gain_change=float(np.expm1(change.theta[0])),
-        gain_change_error=float(np.exp(change.theta[0]) * deviations[0]),
-        dead_zone_change=float(change.theta[1]),
+        gain_change=float(np.expm1(theta[0])),
+        gain_change_error=float(np.exp(theta[0]) * deviations[0]),
+        dead_zone_change=float(theta[1]),
         dead_zone_change_error=float(deviations[1]),
-        p_value=None if identified.gain_error is None else _p_value(change.theta, covariance, len(records)),
+        p_value=p_value,
     )
 
 
@@ -258,13 +264,6 @@ def _step(
     normal = np.einsum("ptn,qtn->pq", slopes, slopes) + weight
     scores = np.einsum("ptn,tn->tp", slopes, errors)
     return np.linalg.solve(normal, scores.sum(axis=0) - weight @ theta), normal, scores
-
-
-def _p_value(theta: np.ndarray, covariance: np.ndarray, tests: int) -> float:
-    """Return the p-value of Hotelling's T² with tests − 1 degrees of freedom."""
-    below = tests - PARAMETERS
-    statistic = float(theta @ np.linalg.pinv(covariance) @ theta)
-    return float(f_distribution.sf(statistic * below / (PARAMETERS * (tests - 1)), PARAMETERS, below))
 
 
 def identify_fleet(

@@ -193,9 +193,6 @@ def estimates_of_row(figures: DirectionRow) -> tuple[Float[np.ndarray, " 4"], Fl
 
     For the scatter s of n tests, ν s²/σ² is χ² with ν = n − 1: ln s has the mean ln σ + (ψ(ν/2) − ln(ν/2))/2
     and the variance ψ′(ν/2)/4.
-
-    Args:
-        figures: of one direction.
     """
     scatter, half_freedom = figures.load_scatter, (figures.tests - 1) / 2
     log_scatter, scatter_error = np.nan, None

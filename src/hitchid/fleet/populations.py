@@ -64,8 +64,8 @@ def estimates_of(
         np.where(present, values, 0.0),
         np.where(pairs, covariances, np.eye(values.shape[1])),
         pairs.astype(float),
-        np.array([each.clip for each in constants]),
-        np.array([each.consistency for each in constants]),
+        np.array([own.clip for own in constants]),
+        np.array([own.consistency for own in constants]),
     )
 
 
@@ -77,9 +77,7 @@ def precisions(estimates: Estimates, between: Float[np.ndarray, "*n p p"]) -> Fl
 def fit_population(estimates: Estimates, deviations: Float[np.ndarray, " p"]) -> JointPopulation:
     """Return mean and covariance between machines: Σ = L Lᵀ for fixed weights and the weights, in turn.
 
-    Args:
-        estimates: of parameters that are scaled to a variance of about one.
-        deviations: standard deviations between machines at the start, above zero, shape [P].
+    The parameters are scaled to a variance of about one; the search starts at deviations above zero.
     """
     size = len(deviations)
     elements = np.diag(deviations)[np.tril_indices(size)]
@@ -215,7 +213,7 @@ def fit_hierarchy(
         raise InputError(
             f"estimates: parameter {parameter}: got {counts[parameter]} machines, expected at least {FEWEST}"
         )
-    marginals = [_marginal(values[:, each], errors[:, each, each], robust) for each in range(len(counts))]
+    marginals = [_marginal(values[:, p], errors[:, p, p], robust) for p in range(len(counts))]
     centre, scale, deviations, spreads = (np.array(column) for column in zip(*marginals, strict=True))
     squared_scale = np.outer(scale, scale)
     scaled = estimates_of((values - centre) / scale, errors / squared_scale, robust=robust)
@@ -298,7 +296,9 @@ def hierarchies_of(
     hierarchies = {}
     for direction in dict.fromkeys(parameter.direction for parameter in parameters):
         columns = [
-            index for index, each in enumerate(parameters) if each.direction == direction and enough[index]
+            index
+            for index, parameter in enumerate(parameters)
+            if parameter.direction == direction and enough[index]
         ]
         if columns:
             fit = fit_hierarchy(*selected(estimates, covariances, np.array(columns)))

@@ -86,12 +86,8 @@ def spread_interval(
     """Return the 95 % interval of τ, in the parameter's unit.
 
     Its ends are where Q(τ²) = Σ min(z², c²)/κ, z² = (y − μ)²/(s² + τ²), is a quantile of its distribution:
-    ε Q ~ χ² with ε (n − 1) degrees of freedom, ε the efficiency of the robust variance.
-
-    Args:
-        values: y, estimates of one parameter, shape [N].
-        variances: s², squared standard errors, shape [N].
-        robust: False for κ = ε = 1 without a limit c.
+    ε Q ~ χ² with ε (n − 1) degrees of freedom, ε the efficiency of the robust variance (if not robust,
+    κ = ε = 1 without a limit c), of estimates y with variances s².
 
     Source: Viechtbauer 2007, Confidence intervals for the amount of heterogeneity in meta-analysis.
     """
@@ -144,11 +140,7 @@ def adjusted_p_values(p_values: Float[np.ndarray, "..."]) -> Float[np.ndarray, "
 
 
 def checked_estimates(estimates: ArrayLike, covariances: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """Return estimates and covariances as arrays of numbers; NaN in either is a missing parameter in both.
-
-    Args:
-        estimates: of each machine, shape [N, P], NaN where missing.
-        covariances: of the errors, shape [N, P, P].
+    """Return estimates [N, P] and covariances [N, P, P] as arrays; NaN in either is a missing one in both.
 
     Raises:
         InputError: shapes that do not agree, an infinite value, a covariance that is not positive definite.
@@ -211,14 +203,9 @@ def fit_random_effects(
     """Return β and τ² of each selection of machines by restricted maximum likelihood with bounded influence.
 
     With V = s² + τ², z² = (y − X β)²/V and w = min(1, c²/z²): Σ w Xᵀ(y − X β)/V = 0 and
-    Σ (w z²/κ − 1 + h)/V = 0, h the leverage; τ² = 0 where the second has no positive solution.
-
-    Args:
-        values: y, estimates of one parameter, shape [N].
-        variances: s², squared standard errors, shape [N].
-        design: X, shape [N, K]; a column of ones for a common mean.
-        selections: machines of each fit, shape [F, N]; more than K in each.
-        robust: False for plain restricted maximum likelihood, w = κ = 1.
+    Σ (w z²/κ − 1 + h)/V = 0, h the leverage; τ² = 0 where the second has no positive solution. Of estimates y
+    with variances s², design X (ones for a common mean) and more machines in each fit than columns of it;
+    without robustness w = κ = 1.
 
     Source: Patterson & Thompson 1971; DerSimonian & Laird 1986; Richardson & Welsh 1995 (robust REML).
     """

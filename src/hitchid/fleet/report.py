@@ -8,7 +8,15 @@ import numpy as np
 from hitchid._support.tables import Cell, DataTable
 from hitchid.fleet import figures as figures
 from hitchid.fleet.comparison import FleetComparison, comparison_metrics
-from hitchid.fleet.findings import amount, detectable, fleet_findings, q_text, signed_amount, signed_range
+from hitchid.fleet.findings import (
+    amount,
+    detectable,
+    differences,
+    fleet_findings,
+    q_text,
+    signed_amount,
+    signed_range,
+)
 from hitchid.fleet.outliers import FleetTrends
 from hitchid.fleet.parameters import FleetParameter, listed
 from hitchid.fleet.row import Row
@@ -48,7 +56,7 @@ def fleet_report(comparison: FleetComparison, *, source: str, command: str = "")
         verdict=fleet_findings(comparison),
         notices=tuple(map(sentence, comparison.notices)),
         sections=tuple(_sections(comparison, command)),
-        summary=tuple(_summary(comparison)),
+        summary=(_summary(comparison),) if comparison.machines else (),
         data=comparison_metrics(comparison),
         data_tables=comparison.tables,
     )
@@ -63,9 +71,19 @@ def _sections(comparison: FleetComparison, command: str) -> Iterator[ReportSecti
     if comparison.trends is not None:
         yield ReportSection("Trends", (Text(TRENDS), _trend_table(comparison, comparison.trends)))
     if comparison.failed:
-        yield ReportSection("Failures", (_failure_table(comparison.failed),))
+        by_cause = _most_frequent_first((row.cause, row) for row in comparison.failed)
+        lines = (
+            (cause, str(len(rows)), listed([row.machine for row in rows]), rows[0].message)
+            for cause, rows in by_cause
+        )
+        header = ("cause", "machines", "names", "message of the first")
+        yield ReportSection("Failures", (Table("By cause", header, tuple(lines)),))
     if comparison.not_compared:
-        yield ReportSection("Not compared", (_not_compared_table(comparison),))
+        pairs = (((left.direction, left.reason), left.machine) for left in comparison.not_compared)
+        by_reason = _most_frequent_first(pairs)
+        lines = ((*key, str(len(machines)), listed(machines)) for key, machines in by_reason)
+        header = ("direction", "reason", "machines", "names")
+        yield ReportSection("Not compared", (Table("By reason", header, tuple(lines)),))
     if any(row.cost is not None for row in comparison.rows):
         yield ReportSection("Cost", (_cost_table(comparison.rows),))
     yield ReportSection("How to reproduce", (Table("Origin", ("what", "value"), (("command", command),)),))
@@ -78,7 +96,17 @@ def _outliers(comparison: FleetComparison) -> ReportSection:
     if text := detectable(comparison):
         blocks.append(Text(text))
     if figures.verdict_rows(comparison)[0]:
-        blocks.append(Pictures((_verdicts(comparison),)))
+        others = figures.shown_machines(comparison)[1]
+        left_out = f" The other {len(others)} machines are left out." if others else ""
+        picture = Picture(
+            "verdicts",
+            figures.verdicts(comparison),
+            f"Parameters in which machines are higher (▲) or lower (▼) than the others.{left_out}",
+            f"Grid of machines and parameters; {len(comparison.standing_out)} machines stand out.",
+            wide=True,
+            data=_columns(comparison.tables["outliers"]),
+        )
+        blocks.append(Pictures((picture,)))
     return ReportSection("Machines that stand out", tuple(blocks))
 
 
@@ -86,26 +114,35 @@ def _machines(comparison: FleetComparison) -> ReportSection:
     directions = dict.fromkeys(parameter.direction for parameter in comparison.parameters)
     pictures = [_forest(comparison, direction) for direction in directions]
     if figures.directions_with_both(comparison):
-        pictures += [_scatter(comparison), _speed_fan(comparison)]
+        few = len(comparison.machines) <= figures.MOST_ROWS
+        whose = "each machine" if few else "the machines that stand out"
+        many = len(comparison.machines) > figures.MOST_POINTS
+        thinned = f" Of the machines like the others at most {figures.MOST_POINTS} are drawn." if many else ""
+        pictures += [
+            Picture(
+                "gain-and-dead-zone",
+                figures.scatter(comparison),
+                f"Gain over dead zone. Thin ellipses: 95 % of the errors of {whose}; thick ellipse: 95 % of "
+                f"the machines, without errors.{thinned}",
+                "Gain over dead zone of the machines, with ellipses of their errors and of the distribution.",
+                wide=True,
+            ),
+            Picture(
+                "speeds",
+                figures.speed_fan(comparison),
+                "Steady speed over command of all machines, gain · (command \N{MINUS SIGN} dead zone): what "
+                "nonlinearities of the structure add is left out. Pointed out: machines that stand out in "
+                f"gain or dead zone.{thinned}",
+                "Steady speed over command of all machines, with those that stand out in gain or dead zone.",
+                wide=True,
+            ),
+        ]
     kinds = "; ".join(
         f"{direction}: {kind.structure} in {kind.unit('gain')}"
         for direction, kind in comparison.kinds.items()
     )
     blocks = (Text(KINDS.format(kinds=kinds)), _population_table(comparison), Pictures(tuple(pictures)))
     return ReportSection("Machines beside each other", blocks)
-
-
-def _verdicts(comparison: FleetComparison) -> Picture:
-    others = figures.shown_machines(comparison)[1]
-    left_out = f" The other {len(others)} machines are left out." if others else ""
-    return Picture(
-        "verdicts",
-        figures.verdicts(comparison),
-        f"Parameters in which machines are higher (▲) or lower (▼) than the others.{left_out}",
-        f"Grid of machines and parameters; {len(comparison.standing_out)} machines stand out.",
-        wide=True,
-        data=_columns(comparison.tables["outliers"]),
-    )
 
 
 def _forest(comparison: FleetComparison, direction: str) -> Picture:
@@ -126,37 +163,6 @@ def _forest(comparison: FleetComparison, direction: str) -> Picture:
     )
 
 
-def _scatter(comparison: FleetComparison) -> Picture:
-    few = len(comparison.machines) <= figures.MOST_ROWS
-    whose = "each machine" if few else "the machines that stand out"
-    return Picture(
-        "gain-and-dead-zone",
-        figures.scatter(comparison),
-        f"Gain over dead zone. Thin ellipses: 95 % of the errors of {whose}; thick ellipse: 95 % of the "
-        f"machines, without errors.{_thinned(comparison)}",
-        "Gain over dead zone of the machines, with ellipses of their errors and of the distribution.",
-        wide=True,
-    )
-
-
-def _speed_fan(comparison: FleetComparison) -> Picture:
-    return Picture(
-        "speeds",
-        figures.speed_fan(comparison),
-        "Steady speed over command of all machines, gain · (command \N{MINUS SIGN} dead zone): what "
-        "nonlinearities of the structure add is left out. Pointed out: machines that stand out in gain or "
-        f"dead zone.{_thinned(comparison)}",
-        "Steady speed over command of all machines, with those that stand out in gain or dead zone.",
-        wide=True,
-    )
-
-
-def _thinned(comparison: FleetComparison) -> str:
-    """Return that not all machines are drawn; empty if all are."""
-    many = len(comparison.machines) > figures.MOST_POINTS
-    return f" Of the machines like the others at most {figures.MOST_POINTS} are drawn." if many else ""
-
-
 def _columns(table: DataTable, direction: str = "") -> dict[str, list[Cell]]:
     """Return the columns of a table, of one direction where it is given."""
     place = table.columns.index("direction")
@@ -164,15 +170,13 @@ def _columns(table: DataTable, direction: str = "") -> dict[str, list[Cell]]:
     return {name: [row[column] for row in rows] for column, name in enumerate(table.columns)}
 
 
-def _summary(comparison: FleetComparison) -> Iterator[Table]:
-    if comparison.machines:
-        full = _population_table(comparison)
-        columns = [full.header.index(name) for name in SUMMARY]
-        rows = tuple(tuple(row[column] for column in columns) for row in full.rows)
-        yield Table(full.title, SUMMARY, rows)
-
-
 # Tables: machines that stand out, populations, cohorts, trends, failures, costs.
+
+
+def _summary(comparison: FleetComparison) -> Table:
+    full = _population_table(comparison)
+    columns = [full.header.index(name) for name in SUMMARY]
+    return Table(full.title, SUMMARY, tuple(tuple(row[column] for column in columns) for row in full.rows))
 
 
 def _outlier_table(comparison: FleetComparison) -> Table:
@@ -183,9 +187,8 @@ def _outlier_table(comparison: FleetComparison) -> Table:
     for cell in outliers.ranking[:MOST_LINES]:
         machine, column = cell
         parameter = comparison.parameters[column]
-        deviation, lower, upper = (
-            float(parameter.difference(numbers_of_all[cell]))
-            for numbers_of_all in (outliers.deviation, outliers.lower, outliers.upper)
+        deviation, lower, upper = differences(
+            parameter, cell, outliers.deviation, outliers.lower, outliers.upper
         )
         error = float(np.sqrt(comparison.covariances[machine, column, column]))
         value = float(parameter.value(comparison.estimates[cell]))
@@ -261,22 +264,6 @@ def _most_frequent_first(pairs: Iterable[tuple[Key, Item]]) -> list[tuple[Key, l
     for key, item in pairs:
         groups.setdefault(key, []).append(item)
     return sorted(groups.items(), key=lambda group: (-len(group[1]), group[0]))
-
-
-def _failure_table(rows: Sequence[Row]) -> Table:
-    """Return the failed machines by cause."""
-    lines = (
-        (cause, str(len(own)), listed([row.machine for row in own]), own[0].message)
-        for cause, own in _most_frequent_first((row.cause, row) for row in rows)
-    )
-    return Table("By cause", ("cause", "machines", "names", "message of the first"), tuple(lines))
-
-
-def _not_compared_table(comparison: FleetComparison) -> Table:
-    """Return what is left out of the comparison by direction and reason."""
-    pairs = (((left.direction, left.reason), left.machine) for left in comparison.not_compared)
-    rows = ((*key, str(len(machines)), listed(machines)) for key, machines in _most_frequent_first(pairs))
-    return Table("By reason", ("direction", "reason", "machines", "names"), tuple(rows))
 
 
 def _cost_table(rows: Sequence[Row]) -> Table:

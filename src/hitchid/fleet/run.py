@@ -121,6 +121,7 @@ def run_fleet(
             f"{job.results.url}: is in the store of logs, {job.logs.url}; expected results outside of it"
         )
     machines = machines_of(job.logs)
+    # A row has the listing of its logs in its name: what is done is seen without reading a row.
     names = {
         machine: row_name(machine.name, machine.signature(job.stamp(machine.name))) for machine in machines
     }

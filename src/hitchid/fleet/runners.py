@@ -39,12 +39,8 @@ def run_on_cluster(
 ) -> Iterator[Acknowledgement]:
     """Yield the acknowledgement of each machine, in the order in which they end.
 
-    Args:
-        job, machines: work, and the machines it is done for.
-        workers: number of processes of one thread, where the cluster is started here.
-        scheduler: address of a running scheduler, `tls://host:port`, or `tcp://` on this machine; its workers
-            need one thread each.
-        on_page: called with the address of the page on which dask shows its work.
+    Where there is no running scheduler, `tls://host:port` or `tcp://` on this machine, one is started with so
+    many processes; workers need one thread each. `on_page` is called with the address of dask's own page.
 
     Raises:
         InputError: dask.distributed is not installed, or the address is neither TLS nor on this machine.

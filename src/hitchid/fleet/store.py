@@ -78,9 +78,15 @@ class Store:
             StoreError: the store cannot be listed.
         """
         details = self._call("list", "", lambda system, root: system.find(root, detail=True))
-        listed = [_stored_file(path, info, self._root()[1]) for path, info in dict(details).items()]
-        chosen = [file for file in listed if hidden or not _is_hidden(file.name)]
-        return tuple(sorted(chosen, key=lambda file: file.name))
+        root, files = self._root()[1], []
+        for path, info in dict(details).items():
+            name = path.removeprefix(root).lstrip("/")
+            if hidden or not _is_hidden(name):
+                digests = (str(info[field]) for field in DIGEST_FIELDS if info.get(field) is not None)
+                time = next((info[field] for field in TIME_FIELDS if info.get(field) is not None), None)
+                version = next(digests, str(time))
+                files.append(StoredFile(name, int(info.get("size") or 0), version, _iso(time)))
+        return tuple(sorted(files, key=lambda file: file.name))
 
     def local_folders(self) -> tuple[str, ...]:
         """Return the folders at the top of a local store, also empty ones; an object store has none."""
@@ -182,15 +188,6 @@ class Store:
             place = f"{self.url.rstrip('/')}/{name}".rstrip("/")
             reason = str(error) or type(error).__name__
             raise StoreError(f"{place}: cannot {verb}: {reason}") from error
-
-
-def _stored_file(path: str, info: Mapping[str, Any], root: str) -> StoredFile:
-    digests = (str(info[field]) for field in DIGEST_FIELDS if info.get(field) is not None)
-    times = (info[field] for field in TIME_FIELDS if info.get(field) is not None)
-    time = next(times, None)
-    version = next(digests, str(time))
-    name = path.removeprefix(root).lstrip("/")
-    return StoredFile(name, int(info.get("size") or 0), version, _iso(time))
 
 
 def _iso(time: object) -> str:

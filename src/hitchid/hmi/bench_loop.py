@@ -132,8 +132,8 @@ class BenchLoop:
         readings: list[Reading] = []
         for _ in range(speed):
             readings += self._sample(now_s)
-        self._close_ended_run()
-        if self.state not in (State.ARMED, State.RUNNING):  # and zero was sent
+        self._close_ended_run()  # after zero was sent: closing a log comes second to closing the valves
+        if self.state not in (State.ARMED, State.RUNNING):
             self._end_watchdog()
         return readings
 
@@ -203,6 +203,7 @@ class BenchLoop:
         """Advance the run by one sample; return its commands within their limits, zero in any other state."""
         try:
             limits = self._connected.limits if self._connected else None
+            # Nothing moves before the disk has the folder: a run must not go on without its log.
             if self.state is not State.RUNNING or self._run is None or not self._run.has_folder:
                 return CLOSED
             if not self._run.advance(self._displacement):
@@ -220,6 +221,7 @@ class BenchLoop:
 
     def _take(self, connected: ConnectedSource, readings: Sequence[Reading], now_s: float) -> None:
         """Take the newest displacement; stop where there is none, or one outside the limits."""
+        # A virtual source may run faster than time: what it lacks is counted on its own clock.
         measured = [reading.values[REQUIRED.index(DISPLACEMENT)] for reading in readings]
         valid = [value for value in measured if np.isfinite(value)]
         self._time_s = readings[-1].time_s if readings else self._time_s
@@ -239,6 +241,7 @@ class BenchLoop:
     def _lose_source(self, reason: str) -> None:
         """Close valves, source and logs; a run is stopped by that, and the reason is kept."""
         connected, self._connected, self._commands = self._connected, None, CLOSED
+        # Zero first; the watchdog ends after it, so that there is always somebody who would send it.
         if connected is not None and not connected.close():
             reason = f"{reason}; zero could not be sent: close the valves of the machine by hand"
         self._end_watchdog()
@@ -267,9 +270,9 @@ class BenchLoop:
         self._connected = connect(
             request, self._root, limits_file=self._limits_file, allow_output=self._allow_output
         )
-        self._displacement, self._silent_s, self._time_s, self._measured_s = np.nan, 0.0, 0.0, now_s
-        if self._connected.source.virtual:
-            self._measured_s = 0.0
+        # Silence of a sensor is counted on the clock of a virtual source, which may run faster than time.
+        self._measured_s = 0.0 if self._connected.source.virtual else now_s
+        self._displacement, self._silent_s, self._time_s = np.nan, 0.0, 0.0
         self._settle(connected)
 
     def _arm(self, request: Request, now_s: float) -> None:
@@ -289,6 +292,7 @@ class BenchLoop:
         if plan.unattended and not source.virtual:
             raise InputError("unattended: expected false; only the virtual bench runs without its operator")
         self._check_sensor(connected.limits)
+        # The state changes last: whatever a plan's files raise leaves the bench idle.
         self._run = Run(self._root, plan, source, connected.limits, self._displacement, self._disk)
         self._end_watchdog()  # of a plan that was armed, stopped and reset before the next tick
         if connected.is_watched and self._watch is not None:

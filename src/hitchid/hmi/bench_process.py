@@ -40,11 +40,7 @@ JSON_MARK, BLOCK_MARK = b"j", b"b"
 
 
 class Link:
-    """Messages to and from the server, neither of which blocks the loop.
-
-    Args:
-        connection: to the server.
-    """
+    """Messages to and from the server, neither of which blocks the loop."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
@@ -108,7 +104,7 @@ def run(loop: BenchLoop, link: Link) -> None:
             requests = link.requests()
         except EOFError:
             return
-        for request in requests:
+        for request in requests:  # before the tick, so that a stop takes effect with this sample
             _answer(loop, link, request)
         now_s = time.monotonic()
         readings += loop.tick(now_s)
@@ -131,10 +127,7 @@ def run(loop: BenchLoop, link: Link) -> None:
 def _answer(loop: BenchLoop, link: Link, request: dict) -> None:
     """Carry out one request; a source that takes long to open does not count as silence of the server."""
     kind, error = request.get("type"), None
-    if kind in (
-        "connect",
-        "arm",
-    ):  # what is there stays: no tick should wait while it is looked through
+    if kind in ("connect", "arm"):  # what is there stays: no tick should wait while it is looked through
         gc.collect()
         gc.freeze()
     if kind in ("server_alive", "page_alive"):  # of the time it was given, not of the time it is read
@@ -161,11 +154,7 @@ def _answer(loop: BenchLoop, link: Link, request: dict) -> None:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Run the bench loop of a server.
-
-    Args:
-        arguments: file descriptor of the connection, settings as JSON.
-    """
+    """Run the bench loop of a server, given the file descriptor of the connection and settings as JSON."""
     from hitchid._support.jax_setup import prepare_jax
 
     prepare_jax()
@@ -198,7 +187,3 @@ def main(arguments: Sequence[str]) -> None:
         loop.close()
         link.send({"type": "status", **loop.describe()})  # what the server knows when this process is gone
         link.close()
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -13,13 +13,9 @@ from hitchid._support.processes import Outbox, connected_module
 
 
 class Child:
-    """A module that runs in its own process, connected by a pair of sockets.
+    """A module that runs in its own process, see `connected_module`, with settings as JSON.
 
-    Args:
-        module: that is run; its first argument is the file descriptor of the connection.
-        settings: its second argument, as JSON.
-        on_message: called in the event loop with each message of the child.
-        on_end: called in the event loop when the child has ended.
+    Each message of the child, and its end, are handed to functions that are called in the event loop.
     """
 
     def __init__(

@@ -13,14 +13,7 @@ MOST_TEXTS = 1000  # messages likewise: minutes; chosen
 
 
 class Client:
-    """A page that is connected.
-
-    Args:
-        session: of the browser that the page is open in.
-
-    Attributes:
-        name: of the page.
-    """
+    """A page that is connected, with a name of its own and the session of its browser."""
 
     def __init__(self, session: str) -> None:
         self.session = session
@@ -72,7 +65,7 @@ class Clients:
         self.release(client)
 
     def claim(self, client: Client) -> bool:
-        """Return whether a client is the operator now."""
+        """Make a client the operator where there is none; return whether it is the operator now."""
         if self.operator is None:
             self.operator = client.name
         return self.operator == client.name

@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -94,7 +94,16 @@ def connect(
     elif name == "replay":
         text = f"replay:{project.file_inside(root, options.get('log'))}"
     source = make_source(text)
-    _check_signals(source)
+    # Checked before it is opened: a source that cannot be used should not be touched.
+    names = tuple(signal.name for signal in source.signals)
+    if names[: len(REQUIRED)] != REQUIRED:
+        raise InputError(f"{source.label}: expected the signals {', '.join(REQUIRED)} first, got {names}")
+    longest_s = LONGEST_MOVED_STEP_S if source.can_move else LONGEST_STEP_S
+    if not SHORTEST_STEP_S <= source.step_s <= longest_s:
+        raise InputError(
+            f"{source.label}: expected a sampling time of {SHORTEST_STEP_S:g} to {longest_s:g} s, "
+            f"got {source.step_s:g} s"
+        )
     speed = checks.integer(options.get("speed", 1), "speed", minimum=1)
     fastest = FASTEST if source.virtual else 1
     if speed > fastest:
@@ -109,15 +118,3 @@ def connect(
             raise InputError(f"limits: {signal.name} is in {unit}, in {source.label} in {signal.unit}")
     source.open()
     return ConnectedSource(source, name, speed, limits, source.virtual or allow_output)
-
-
-def _check_signals(source: Source) -> None:
-    names: Sequence[str] = tuple(signal.name for signal in source.signals)
-    if names[: len(REQUIRED)] != REQUIRED:
-        raise InputError(f"{source.label}: expected the signals {', '.join(REQUIRED)} first, got {names}")
-    longest_s = LONGEST_MOVED_STEP_S if source.can_move else LONGEST_STEP_S
-    if not SHORTEST_STEP_S <= source.step_s <= longest_s:
-        raise InputError(
-            f"{source.label}: expected a sampling time of {SHORTEST_STEP_S:g} to {longest_s:g} s, "
-            f"got {source.step_s:g} s"
-        )

@@ -38,14 +38,8 @@ MOVING = ("armed", "running")  # states in which something may move
 SPEEDS = (1, 2, 5, 10, 20)
 MOST_MARKERS = 200
 SILENT = "the bench loop does not answer: whether the machine moves is not known; use its own emergency stop"
-ENDED = {
-    "state": "disconnected",
-    "source": None,
-    "run": None,
-    "recording": None,
-    "limits": None,
-    "mode": "hold",
-}
+NOTHING = dict.fromkeys(("source", "run", "recording", "limits"))
+ENDED = {"state": "disconnected", **NOTHING, "mode": "hold"}
 
 
 @dataclass(frozen=True)
@@ -68,17 +62,13 @@ class Settings:
 
 
 class Console:
-    """State of a session, and what its pages ask for.
-
-    Args:
-        settings: of the session.
-    """
+    """State of a session, and what its pages ask for."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.clients = Clients()
         self.jobs = Jobs(settings.root, self.clients.publish, self._project_changed)
-        self.history: History | None = None
+        self.history: History | None = None  # of a source: its signals and sampling time are not known before
         self._speed = SpeedEstimate(1, 1.0)
         self._bench: Child | None = None
         self._beside = ModelBeside(settings.root, self.clients, self.publish_status, self._project_changed)
@@ -184,7 +174,7 @@ class Console:
             if is_operator and self._bench is not None:
                 self._bench.send({"type": "page_alive", "at_s": time.monotonic()})
             return
-        if kind == "stop":
+        if kind == "stop":  # which anybody may who watches
             reason = f"stopped by {'the operator' if is_operator else 'a viewer'}"
             self._to_bench(client, {"type": "stop", "id": request.get("id"), "reason": reason})
             return
@@ -246,7 +236,7 @@ class Console:
             self._bench.send({"type": "operator_left"})
 
     def _operate(self, client: Client, request: Mapping[str, Any]) -> None:
-        self._log_request(client, request)
+        self._log_request(client, request)  # before it is carried out: also one that ends the loop is logged
         if request["type"] == "connect":
             if self._bench is None:
                 self._start_bench()
@@ -276,24 +266,23 @@ class Console:
 
     def _bench_ended(self) -> None:
         self._bench = None
-        reason = f"the bench loop has ended; {self._last_command()}"
+        # What is known of the commands that it has left behind.
+        source, state, reason = (self._status[name] for name in ("source", "state", "reason"))
+        if self._is_zero_sent is not None:
+            has_sent = "has sent zero to the machine"
+            could_not = "could not send zero: close the valves of the machine by hand"
+            last = f"its watchdog {has_sent if self._is_zero_sent else could_not}"
+        elif state not in MOVING:
+            last = f"before that: {reason}" if reason else "zero was the last that it commanded"
+        elif source["name"] == "rig":
+            last = "the virtual bench has ended with it"
+        else:
+            last = "whether zero was sent is not known: look at the machine, and close its valves by hand"
+        reason = f"the bench loop has ended; {last}"
         self._status = {**ENDED, "reason": reason}
         self._pending.fail(reason)
         self.log("ended", None, reason=reason)
         self.publish_status()
-
-    def _last_command(self) -> str:
-        """Return what is known of the commands that the bench loop has left behind."""
-        source, state, reason = (self._status[name] for name in ("source", "state", "reason"))
-        if self._is_zero_sent is not None:
-            if self._is_zero_sent:
-                return "its watchdog has sent zero to the machine"
-            return "its watchdog could not send zero: close the valves of the machine by hand"
-        if state not in MOVING:
-            return f"before that: {reason}" if reason else "zero was the last that it commanded"
-        if source["name"] == "rig":
-            return "the virtual bench has ended with it"
-        return "whether zero was sent is not known: look at the machine, and close its valves by hand"
 
     def _from_bench(self, message: bytes) -> None:
         self._heard_s = time.monotonic()
@@ -312,8 +301,11 @@ class Console:
         if content["type"] == "watchdog":
             self._is_zero_sent = content["zero_sent"]
             return
-        before, self._status = self._status, _with_speed(content)
-        source = self._status["source"]
+        source = content["source"]
+        if source is not None:  # whose speed the server adds
+            unit = next(signal["unit"] for signal in source["signals"] if signal["name"] == DISPLACEMENT)
+            source["signals"].append(asdict(Signal("speed", "Speed", f"{unit}/s", "speed")))
+        before, self._status = self._status, content
         if before["source"] != source:
             self.history, self._markers = None, []
             if source is not None:
@@ -348,13 +340,3 @@ def _append(path: Path, line: bytes) -> None:
             os.close(file)
     except OSError as error:
         raise OutputError(f"cannot be written: {error.strerror}") from error
-
-
-def _with_speed(status: dict[str, Any]) -> dict[str, Any]:
-    """Return the state of the bench loop with the speed, which the server adds, among the signals."""
-    source = status["source"]
-    if source is None:
-        return status
-    units = {signal["name"]: signal["unit"] for signal in source["signals"]}
-    speed = asdict(Signal("speed", "Speed", f"{units[DISPLACEMENT]}/s", "speed"))
-    return {**status, "source": {**source, "signals": [*source["signals"], speed]}}

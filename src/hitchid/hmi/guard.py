@@ -45,6 +45,7 @@ class Sessions:
 
         With one too many the session that was used longest ago ends, but none that has a connected page.
         """
+        # Each is compared, in constant time: how long a refusal takes tells nothing of the links there are.
         matching = [known for known in self._links if isinstance(token, str) and _is_equal(known, token)]
         if not matching or self._links.pop(matching[0]) < time.monotonic():
             return None
@@ -79,13 +80,7 @@ def _is_equal(known: str, given: str) -> bool:
 
 
 class Guard:
-    """Lets through what comes from this page, on this machine, with a session.
-
-    Args:
-        application: that is guarded.
-        sessions: that are known.
-        port: of the server, on the loopback interface.
-    """
+    """Lets through to an application what comes from its page, on this machine and port, with a session."""
 
     def __init__(self, application: Application, sessions: Sessions, port: int) -> None:
         self._application, self._sessions = application, sessions

@@ -113,14 +113,9 @@ def read_request(content: object, root: Path) -> tuple[Request, list[str], str]:
 
 @dataclass
 class Job:
-    """A command while it runs and after it.
+    """A command while it runs and after it: its state is running, done, failed or stopped.
 
-    Attributes:
-        number: of the job.
-        kind: of its request.
-        arguments: of the command.
-        out: what it writes, relative to the project.
-        state: running, done, failed or stopped.
+    What it writes (`out`) is relative to the project.
     """
 
     number: int
@@ -181,12 +176,9 @@ class Job:
 
 
 class Jobs:
-    """All jobs of a session, one running at a time beside the bench.
+    """All jobs of a session in a project folder, one running at a time beside the bench.
 
-    Args:
-        root: folder of the project.
-        publish: called with each message about a job.
-        on_written: called when a job has written something.
+    `publish` is called with each message about a job, `on_written` when a job has written something.
     """
 
     def __init__(
@@ -258,11 +250,7 @@ class Jobs:
             self._publish(job.describe())
 
     def _prepare(self, out: str, *, is_brief: bool) -> None:
-        """Check where a job writes to, and write the settings of a brief identification where there are none.
-
-        Raises:
-            OutputError: one of them would land outside the project, or cannot be written.
-        """
+        """Check where a job writes to, and write the settings of a brief identification if there are none."""
         if out:
             project.place(self._root, out)
         if is_brief and not os.path.lexists(self._root / BRIEF):

@@ -76,12 +76,9 @@ class ModelAdaptation:
         return True
 
     def feed(self, begin_s: float, commands: np.ndarray, displacement: np.ndarray) -> bool:
-        """Take a block of samples in the model's units; return whether anything was learned.
+        """Take a block of samples in the model's units, the first at `begin_s`; say if anything was learned.
 
-        Args:
-            begin_s: time of its first sample, s.
-            commands: lifting and lowering, shape [B, 2].
-            displacement: NaN where there is none, shape [B].
+        Commands are of shape [B, 2], displacements, NaN where there is none, of shape [B].
 
         Raises:
             OutputError: the change log cannot be written.
@@ -174,16 +171,10 @@ NO_ADAPTATION: Mapping[str, object] = {
 
 
 class ModelBeside:
-    """The model beside the machine; none before one was chosen.
+    """The model beside the machine, by its folder relative to the project; none before one was chosen.
 
-    Args:
-        root: folder of the project.
-        clients: pages that are told.
-        on_change: called when another model was chosen, or the process has ended.
-        on_written: called when a model was written into the project.
-
-    Attributes:
-        model: its folder, relative to the project; None without one.
+    `on_change` is called when another one was chosen, or its process has ended; `on_written` when a model was
+    written into the project.
     """
 
     def __init__(

@@ -2,7 +2,6 @@
 
 import json
 import signal
-import sys
 from collections import deque
 from collections.abc import Mapping, Sequence
 from multiprocessing.connection import Connection
@@ -28,12 +27,7 @@ LONGEST_FILLED_S = 10.0  # s of lost samples that adaptation counts as missing: 
 
 
 class MonitorLoop:
-    """A model beside a source, in the units of the source.
-
-    Args:
-        model: identified hitch.
-        units: of the commands and of the displacement of the source.
-        step_s: sampling time of the source, s.
+    """A model beside a source, in the units of its commands and of its displacement.
 
     Raises:
         InputError: sampling time or units do not fit the model.
@@ -75,15 +69,13 @@ class MonitorLoop:
         self._is_running = False
 
     def adapt(self, path: Path | None) -> None:
-        """Begin to adapt the model, or end it: the model is then the identified one again.
-
-        Args:
-            path: of the change log; None to end.
+        """Begin to adapt the model with a change log, or end it: the model is then the identified one again.
 
         Raises:
             InputError, OutputError: the change log is none, or cannot be written.
         """
         if self._adaptation is not None:
+            # The model first: ending waits for what is being learned, which is of no use any more.
             ended, self._adaptation = self._adaptation, None
             self._adjust()
             ended.end()
@@ -104,8 +96,7 @@ class MonitorLoop:
     def advance(self, rows: np.ndarray) -> list[tuple[int, np.ndarray]]:
         """Return kind and rows of the predictions that samples complete; time, displacement, band.
 
-        Args:
-            rows: time, s; lifting command, lowering command, displacement; shape [N, 4].
+        Samples are time, s; lifting command, lowering command, displacement; shape [N, 4].
         """
         gaps = np.diff(rows[:, 0], prepend=self._latest_s) > LONGEST_GAP * self._step_s
         messages = []
@@ -113,7 +104,12 @@ class MonitorLoop:
             if number:
                 self.restart()  # samples were lost on the way here, so that the free run would lack commands
                 self._waiting = rows[:0]
-                self._learn(self._missing_before(piece[0, 0]))
+                # Adaptation counts them as missing, as many as a stroke needs to end.
+                begin_s = piece[0, 0]
+                lost = min(begin_s - self._latest_s, LONGEST_FILLED_S)
+                count = max(0, round(lost / self._step_s) - 1)
+                times = begin_s - self._step_s * np.arange(count, 0, -1)
+                self._learn(np.column_stack([times, np.full((count, 3), np.nan)]))
             self._waiting = np.concatenate([self._waiting, piece])
             while len(self._waiting) >= self._block:
                 block, self._waiting = self._waiting[: self._block], self._waiting[self._block :]
@@ -168,13 +164,6 @@ class MonitorLoop:
         """Return commands and displacement of samples in the model's units."""
         return self._command_factor * rows[:, 1:3], self._factor * rows[:, 3]
 
-    def _missing_before(self, time_s: float) -> np.ndarray:
-        """Return rows without values for the samples that were lost, as many as a stroke needs to end."""
-        lost = min(time_s - self._latest_s, LONGEST_FILLED_S)
-        count = max(0, round(lost / self._step_s) - 1)
-        times = time_s - self._step_s * np.arange(count, 0, -1)
-        return np.column_stack([times, np.full((count, 3), np.nan)])
-
 
 def _with_band(time_s: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Return time, displacement, lower and upper limit from displacement and half width."""
@@ -189,11 +178,7 @@ COLUMNS = 5  # of a sample: wall clock, ms; time, s; both commands, displacement
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Predict until the server is gone.
-
-    Args:
-        arguments: file descriptor of the connection; model, units and step_s as JSON.
-    """
+    """Predict until the server is gone, given the file descriptor of the connection and settings as JSON."""
     from hitchid._support.jax_setup import prepare_jax
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -251,7 +236,3 @@ def _error_of(loop: MonitorLoop, request: Mapping[str, Any]) -> str | None:
     except HitchError as error:
         return str(error)
     return None
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -43,12 +43,6 @@ def move(displacement: float, target: float, limits: Limits, step_s: float) -> G
 
     The command rises until the piston moves at the wanted speed, stays there, and ends where the piston will
     coast to the target, or at a stop. It is found anew in each move, so that nothing of the valves is known.
-
-    Args:
-        displacement: now.
-        target: where to go.
-        limits: of commands and travel.
-        step_s: sampling time, s.
     """
     channel = 0 if target > displacement else 1
     direction = 1.0 if channel == 0 else -1.0
@@ -83,16 +77,8 @@ def apply(
 ) -> Generator[Step, float, list[float]]:
     """Yield the steps of an open-loop test, and return the displacement at each of its samples.
 
-    The test ends early where the piston comes near the end of its travel in the direction it is driven to, or
-    has travelled as far as it may.
-
-    Args:
-        displacement: now.
-        commands: lifting and lowering, shape [N, 2].
-        log: name of its log.
-        limits: of commands and travel.
-        step_s: sampling time, s.
-        travel: that ends the test.
+    The commands are of shape [N, 2]. The test ends early where the piston comes near the end of its travel in
+    the direction it is driven to, or has gone as far as `travel`.
     """
     low, high = limits.displacement
     near_end, measured = MARGIN * limits.travel, [displacement]
@@ -136,20 +122,11 @@ def check_clock_and_units(
 
 
 def drive(
-    controller: PositionController,
-    log: str,
-    displacement: float,
-    target: Target,
-    limits: Limits,
+    controller: PositionController, log: str, displacement: float, target: Target, limits: Limits
 ) -> Program:
     """Return the program of a closed loop, compiled; it ends only when it is stopped.
 
-    Args:
-        controller: tuned.
-        log: name of its log.
-        displacement: now.
-        target: read at each sample.
-        limits: of travel; the target is kept inside.
+    The target is read at each sample, and kept inside the travel.
     """
     initial = controller.initial_state(displacement)
     stepped, _ = controller.step(initial, displacement, displacement)

@@ -21,14 +21,10 @@ LOG_FORMATS = (".csv", ".csv.gz", ".mf4", ".parquet", ".tdms", ".mat", ".h5", ".
 
 
 def lock(project: Path, address: str) -> int | None:
-    """Take a project for this process as long as it lives; return the file that says so.
+    """Take a project for this process as long as it lives; return the descriptor of the file that says so.
 
-    Args:
-        project: folder.
-        address: at which this process serves it, for whoever comes second.
-
-    Returns:
-        Descriptor of the file; None where the file system has no locks or takes no files.
+    The file has the address at which it is served, for whoever comes second; None where the file system has
+    no locks or takes no files.
 
     Raises:
         InputError: another process has it, with its address.
@@ -75,7 +71,7 @@ def inside(project: Path, path: object) -> Path:
     parts = path.split("/") if isinstance(path, str) else []
     if len(parts) < 2 or parts[0] not in FOLDERS or not all(NAME.fullmatch(part) for part in parts):
         raise InputError(f"path: expected a file in {', '.join(FOLDERS)}, got {path!r:.80}")
-    root = Path(os.path.realpath(project))
+    root = Path(os.path.realpath(project))  # the project itself may be a link
     target = Path(os.path.realpath(root.joinpath(*parts)))
     if not target.is_relative_to(root) or not target.exists():
         raise InputError(f"path: there is no {path!r:.80} in the project")
@@ -126,7 +122,7 @@ def write_new(project: Path, path: str, content: bytes) -> None:
     except FileExistsError as error:
         raise OutputError(f"{path}: exists already; choose another name") from error
     except OSError as error:
-        target.unlink(missing_ok=True)
+        target.unlink(missing_ok=True)  # a part of a file would be taken for all of it
         raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
 
 

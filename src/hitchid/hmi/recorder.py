@@ -21,12 +21,7 @@ HISTORY_S = 3600.0  # s that are kept; older samples are in the logs; chosen
 
 
 class History:
-    """Samples of a source in the order of time.
-
-    Args:
-        columns: numbers in a sample, the first of which is the time, s.
-        step_s: sampling time, s.
-    """
+    """Samples of a source in the order of time, which is their first column, s."""
 
     def __init__(self, columns: int, step_s: float) -> None:
         self._rows = np.full((max(1, round(HISTORY_S / step_s)), columns), np.nan)
@@ -41,12 +36,7 @@ class History:
     def decimated(self, begin_s: float, end_s: float, points: int) -> np.ndarray:
         """Return lowest and highest value of each signal in equal bins, or every sample where it fits.
 
-        Args:
-            begin_s, end_s: interval, s.
-            points: largest number of rows.
-
-        Returns:
-            Samples, shape [M, columns]; a bin gives two rows at its ends.
+        Of an interval at most `points` rows, shape [M, columns]; a bin gives two at its ends.
         """
         is_full = self._count > len(self._rows)
         oldest = self._count % len(self._rows)
@@ -64,12 +54,7 @@ class History:
 
 
 class SpeedEstimate:
-    """Speed from the displacement, by its difference over a tenth of a second.
-
-    Args:
-        column: of the displacement among the columns of a sample, the first of which is the time, s.
-        step_s: sampling time, s.
-    """
+    """Speed from one column of the samples, by its difference over a tenth of a second."""
 
     def __init__(self, column: int, step_s: float) -> None:
         self._column = column
@@ -106,13 +91,8 @@ DIGITS = 10  # significant, of each value: below the rounding of any sensor
 class Recorder:
     """A log that is being written; whole lines are appended, so that it can be read after any interruption.
 
-    No call waits for the disk; what goes wrong there is told by `Disk.check`.
-
-    Args:
-        root: folder of the project.
-        path: of the log, relative to it; it must not exist.
-        signals: of the source.
-        disk: that the log is handed to.
+    No call waits for the disk that the log is handed to; what goes wrong there, such as a log that exists, is
+    told by `Disk.check`. Its path is relative to the project.
     """
 
     def __init__(self, root: Path, path: str, signals: Sequence[Signal], disk: Disk) -> None:

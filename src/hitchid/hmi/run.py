@@ -37,6 +37,7 @@ def campaign(
         InputError: a ramp ended before the piston moved.
     """
     static: dict[str, StaticResult] = {}
+    # Ramps first: no test can be made before the dead zones and speeds are known that they show.
     ramp_travel = RAMP_TRAVEL * limits.travel
     for direction in plan.excited:
         ramps = []
@@ -57,7 +58,7 @@ def campaign(
             ) from error
     rng = np.random.default_rng(plan.seed)
     for number in range(1, plan.tests + 1):
-        for direction in plan.directions:
+        for direction in plan.directions:  # in turn: each ends near where the other begins
             displacement = yield from move(displacement, _start(direction, limits), limits, step_s)
             highest = _highest(direction, static, limits, TEST_TRAVEL * limits.travel / plan.test_s)
             command = binary_command(highest, static[direction].dead_zone, plan.test_s, rng, step_s)
@@ -129,14 +130,6 @@ CLOSED_STEP = Step(np.zeros(2), "settling")
 class Run:
     """A plan that is carried out step by step, and the log of the test that is under way.
 
-    Args:
-        root: folder of the project.
-        plan: of the operator.
-        source: that is driven.
-        limits: of commands and travel.
-        displacement: now.
-        disk: that its logs are handed to.
-
     Attributes:
         plan: of the operator.
         step: that the program asks for at this sample.
@@ -164,7 +157,7 @@ class Run:
         self.target = Target(displacement)
         self._signals = source.signals
         units = {signal.name: signal.unit for signal in source.signals}
-        self.folder, self._program = self._prepare(root, source.step_s, limits, units)
+        self.folder, self._program = self._prepare(source.step_s, limits, units)
         self._recorder: Recorder | None = None
         self._has_begun, self._log = False, ""
 
@@ -239,36 +232,33 @@ class Run:
             "left_s": left_s / speed,
         }
 
-    def _prepare(
-        self, root: Path, step_s: float, limits: Limits, units: dict[str, str]
-    ) -> tuple[str, Program]:
+    def _prepare(self, step_s: float, limits: Limits, units: dict[str, str]) -> tuple[str, Program]:
         """Return the folder of the logs, relative to the project, and the program."""
-        plan, displacement = self.plan, self.target.displacement
+        plan, displacement, root = self.plan, self.target.displacement, self._root
+
+        def check_free(path: str) -> None:
+            if os.path.lexists(root / path):
+                raise InputError(f"{path}: exists already; choose another name")
+
+        # What takes long, such as compiling a controller, comes after what can be refused at once.
         if isinstance(plan, plans.DrivePlan):
-            _check_free(root, f"{project.DRIVES}/{plan.name}.csv")
+            check_free(f"{project.DRIVES}/{plan.name}.csv")
             content = load_controller(project.file_inside(root, plan.controller))
             check_clock_and_units(content.controller.step_s, content.units, step_s, units)
-            return project.DRIVES, drive(
-                cast(PositionController, content.controller), plan.name, displacement, self.target, limits
-            )
+            controller = cast(PositionController, content.controller)
+            return project.DRIVES, drive(controller, plan.name, displacement, self.target, limits)
         if isinstance(plan, plans.FilePlan):
             folder = f"{project.CAMPAIGNS}/{plan.campaign or plan.name}"
-            _check_free(root, f"{folder}/{plan.name}.csv")
+            check_free(f"{folder}/{plan.name}.csv")
             commands = plans.read_commands(project.file_inside(root, plan.file), step_s)
-            for name, largest, highest in zip(
-                REQUIRED[:2], limits.commands, commands.max(axis=0), strict=True
-            ):
-                if highest > largest:
+            highest = commands.max(axis=0)
+            for name, largest, reached in zip(REQUIRED[:2], limits.commands, highest, strict=True):
+                if reached > largest:
                     raise InputError(
-                        f"{plan.file}: {name} reaches {highest:g} {units[name]}; the limit is {largest:g}"
+                        f"{plan.file}: {name} reaches {reached:g} {units[name]}; the limit is {largest:g}"
                     )
             return folder, apply(displacement, commands, plan.name, limits, step_s)
         folder = f"{project.CAMPAIGNS}/{plan.name}"
-        _check_free(root, folder)
+        check_free(folder)
         pair = units[LIFTING_COMMAND], units[DISPLACEMENT]
         return folder, campaign(plan, displacement, limits, step_s, pair)
-
-
-def _check_free(root: Path, path: str) -> None:
-    if os.path.lexists(root / path):
-        raise InputError(f"{path}: exists already; choose another name")

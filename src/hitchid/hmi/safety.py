@@ -50,11 +50,9 @@ class Safety:
         """Return the state without a source; one that was stopped stays so."""
         if self.state in (State.ARMED, State.RUNNING):
             return self.stop(reason or "the source was disconnected")
-        return (
-            self
-            if self.state is State.STOPPED
-            else Safety(State.DISCONNECTED, reason, server_s=self.server_s)
-        )
+        if self.state is State.STOPPED:  # somebody has to look at the machine first
+            return self
+        return Safety(State.DISCONNECTED, reason, server_s=self.server_s)
 
     def arm(self, *, is_attended: bool, now_s: float) -> "Safety":
         """Return the armed state; raises `InputError` unless idle."""

@@ -49,11 +49,7 @@ class Answer(JSONResponse):
 
 
 class Server:
-    """The server of one session.
-
-    Args:
-        settings: of the session.
-        port: to listen at; 0 for a free one.
+    """The server of one session, at a port; 0 for a free one.
 
     Raises:
         InputError: the port is taken, or the project is served already.
@@ -101,7 +97,7 @@ class Server:
             Guard(application, self._sessions, self.port),  # pyright: ignore[reportArgumentType]
             log_level="warning",
             access_log=False,
-            http="h11",
+            http="h11",  # whose connections `_end_unfinished` looks into
             ws="websockets-sansio",
             backlog=MOST_WAITING,
             ws_max_size=MOST_JSON,

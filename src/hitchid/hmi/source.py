@@ -39,6 +39,19 @@ class Signal:
         return f"{self.name}_{self.unit}"
 
 
+def signal_named(name: str, unit: str, group: str = "other") -> Signal:
+    """Return a signal whose label is its name."""
+    return Signal(name, name.replace("_", " ").capitalize(), unit, group)
+
+
+# Of a source in A and mm.
+REQUIRED_SIGNALS = (
+    signal_named(LIFTING_COMMAND, "A", "command"),
+    signal_named(LOWERING_COMMAND, "A", "command"),
+    signal_named(DISPLACEMENT, "mm", "displacement"),
+)
+
+
 class Reading(NamedTuple):
     """One sample of a source.
 

@@ -22,10 +22,8 @@ LONGEST_SEND_S = 1  # s that a source may take for a zero, then the watchdog end
 class Watchdog:
     """A process that watches this one.
 
-    Args:
-        send_zero: closes the valves; called in the other process.
-        tell: called there once this process has ended, with whether zero was sent.
-        longest_s: without a sign of life, after which zero is sent, s.
+    There `send_zero` is called after `longest_s` without a sign of life, and `tell` once this process has
+    ended, with whether zero was sent.
     """
 
     def __init__(self, send_zero: Callable[[], None], longest_s: float, tell: Callable[[bool], None]) -> None:

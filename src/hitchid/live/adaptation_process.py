@@ -1,11 +1,7 @@
 """The process that learns from strokes; see `OnlineAdaptation`."""
 
 import json
-import os
 import signal
-import socket
-import subprocess
-import sys
 import tempfile
 import time
 from collections import deque
@@ -19,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hitchid._support import checks
-from hitchid._support.processes import Outbox
+from hitchid._support.processes import Outbox, connected_module
 from hitchid.errors import HitchError, InputError
 from hitchid.live.adapter import Adapter
 from hitchid.live.events import FAULT, REFUSED, Event, last_sample
@@ -48,8 +44,6 @@ def stroke_of(message: bytes) -> Stroke:
 
 # Adaptation beside a running model: strokes are learned from in a process of its own.
 
-# Not by `-m`: the module is imported with its package, and Python would warn of running it a second time.
-PROGRAM = "import sys; from hitchid.live.adaptation_process import main; main(sys.argv[1:])"
 # s after a stroke at which what was learned from it takes effect: longer than learning takes, so that this
 # does not depend on the speed of the machine; chosen.
 EFFECT_S = 0.5
@@ -101,7 +95,7 @@ class OnlineAdaptation:
         self._ended = False
         self.changes: dict[str, Changes] = {}
         self._bands: dict[str, float] = {}
-        self._process, self._connection = _started()
+        self._process, self._connection = connected_module("hitchid.live.adaptation_process")
         self._outbox = Outbox(self._connection)
         if isinstance(load, Mapping):
             plain_load = {name: float(np.asarray(value)) for name, value in load.items()}
@@ -185,10 +179,12 @@ class OnlineAdaptation:
         content = json.loads(header)
         if "error" in content:
             raise InputError(content["error"])
-        if self._pending:
+        if self._pending:  # the first answer, to model and settings, is to no stroke
             self._pending.popleft()
         changes = {direction: Changes(*values) for direction, values in content["changes"].items()}
-        if changes != self.changes:
+        if (
+            changes != self.changes
+        ):  # numbers stay the same object where nothing changed: `Live` looks at that
             self.changes, self.numbers = changes, np.frombuffer(numbers)
         self._bands = content["bands"]
         return [Event.from_json(line) for line in content["events"]]
@@ -203,24 +199,11 @@ class OnlineAdaptation:
         return tuple(events)
 
 
-def _started() -> tuple[subprocess.Popen, Connection]:
-    """Return the process that learns, and the connection to it."""
-    own, other = socket.socketpair()
-    with other:
-        process = subprocess.Popen(  # noqa: S603 - this Python, a module of this package
-            [sys.executable, "-P", "-c", PROGRAM, str(other.fileno())],
-            pass_fds=(other.fileno(),),
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
-        )
-    return process, Connection(own.detach())
-
-
 def main(arguments: Sequence[str]) -> None:
     """Learn from strokes until the other side is gone.
 
-    Args:
-        arguments: file descriptor of the connection. Its first message are folder of the model, settings,
-            load and earlier events as JSON.
+    The argument is the file descriptor of the connection, whose first message are folder of the model,
+    settings, load and earlier events as JSON.
     """
     from hitchid._support.jax_setup import prepare_jax
 

@@ -138,6 +138,7 @@ class Adapter:
         else:
             channels[stroke.direction], happened = learner.learn(channels[stroke.direction], stroke, number)
             events += happened
+        # After each stroke of the machine, of whichever direction, all move on towards what was promoted.
         for direction, other in self._channels.items():
             channels[direction], moved = other.moved(channels[direction], stroke, number)
             events += moved

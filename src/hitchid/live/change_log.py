@@ -186,23 +186,22 @@ def _trend(direction: str, parameter: str, events: Sequence[Event], limits: Mapp
     values, deviations = (
         np.array([event.figures[name] for event in events]) for name in (parameter, f"{parameter}_deviation")
     )
-    limit = limits.get(parameter, float("inf"))
     weights = 1 / deviations**2
     centred = hours - np.average(hours, weights=weights)
     spread = float(np.sum(weights * centred**2))
     slope = float(np.sum(weights * centred * values)) / spread
     mean = float(np.average(values, weights=weights))
     left = values - mean - slope * centred
+    # Strokes that scatter less than their deviations say make the slope no more certain: at least one.
     variance = max(1.0, float(np.sum(weights * left**2)) / (len(values) - 2)) / spread
     half_width = float(stdtrit(len(values) - 2, 0.975)) * float(np.sqrt(variance))
     value = mean + slope * float(centred[-1])
     ends = slope - half_width, slope + half_width
-    rates = (ends[0], slope, ends[1])
-    earliest = min(_hours_to_limit(value, rate, limit) for rate in rates)
-    latest = max(_hours_to_limit(value, rate, limit) for rate in rates)
+    limit = limits.get(parameter, float("inf"))
+    low, expected, high = (_hours_to_limit(value, rate, limit) for rate in (ends[0], slope, ends[1]))
+    earliest, latest = min(low, expected, high), max(low, expected, high)
     if ends[0] <= 0 <= ends[1]:  # it may as well stay
         latest = float("inf")
-    expected = _hours_to_limit(value, slope, limit)
     return Trend(direction, parameter, slope, ends, value, (earliest, expected, latest))
 
 
@@ -216,11 +215,8 @@ def _hours_to_limit(value: float, per_hour: float, limit: float) -> float:
 class ChangeLog:
     """A change log that goes on from an existing one, and that no other process writes meanwhile.
 
-    Its first line is the digest of its model, so that it is not gone on from with another one.
-
-    Args:
-        path: JSON lines; made where there is none, and removed at the end where nothing happened.
-        model: that is adapted.
+    Its first line is the digest of its model, so that it is not gone on from with another one. It is made
+    where there is none, and removed at the end where nothing happened.
 
     Attributes:
         earlier: events that it had before.

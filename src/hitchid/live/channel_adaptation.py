@@ -54,15 +54,7 @@ Outcome = tuple[ChannelState, list[Event]]
 
 
 class ChannelAdaptation:
-    """What learns from the strokes of one channel.
-
-    Args:
-        errors: of its strokes.
-        gate: its checks.
-        settings: of the adaptation.
-        identified: standard deviations of the identified parameters: log gain, dead zone, log lag.
-        command_unit: unit of the command.
-    """
+    """What learns from the strokes of one channel; `identified` is as for `ChannelEstimates`."""
 
     def __init__(
         self,
@@ -116,9 +108,11 @@ class ChannelAdaptation:
         reason = self._gate.refusal(stroke)
         if reason:
             return state, [self._event(REFUSED, state, stroke, number, reason)]
+        # The cheap checks came first: a refused stroke costs no simulation.
         before = state.target if state.watch is None else state.watch.changes
         tried = [trial.changes for trial in state.candidates]
         tried += [state.target] * (MOST_CANDIDATES - len(tried))
+        # All free runs at once, in one compiled call; candidates that are missing are filled up.
         own_changes = self._estimates.own_changes(state, stroke)
         changes = [state.target, state.deployed, before, Changes(), *tried, *own_changes]
         runs = self._errors.runs(stroke, changes)
@@ -150,6 +144,7 @@ class ChannelAdaptation:
         state = replace(state, misfit=misfit, band=band)
         fits = self._estimates.scattered(state, [runs.fit(run) for run in range(OWN)])
         state = self._compared(state, runs, fits)
+        # Back before forward: a rollback drops the candidates that would be judged.
         for decide in (self._watched, self._judged):
             state, happened = decide(state, stroke, number, fits)
             events += happened

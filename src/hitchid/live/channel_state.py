@@ -75,12 +75,7 @@ class BandFactor(NamedTuple):
         return float(np.exp(self.log))
 
     def advance(self, outside: float, expected: float) -> "BandFactor":
-        """Return the factor after one more stroke.
-
-        Args:
-            outside: e, share of its samples outside the band.
-            expected: α, one minus the coverage.
-        """
+        """Return the factor after one more stroke, with e (`outside`) and α, one minus the coverage."""
         return BandFactor(float(np.clip(self.log + RATE * (outside - expected), -LARGEST, LARGEST)))
 
 
@@ -168,11 +163,8 @@ STROKES_AT_ONE_LEVEL = 4  # after which an operator is taken to use no other com
 class ChannelEstimates:
     """Estimates of the changes of one channel.
 
-    Args:
-        errors: of its strokes.
-        bounds: of its changes.
-        identified: standard deviations of the identified parameters: log gain, dead zone, log lag.
-        runs: free runs of a stroke at once; each number is compiled once.
+    From the standard deviations of the identified log gain, dead zone and log lag; each number of free runs
+    at once is compiled once.
 
     Attributes:
         identified, wide: covariances of the changes as identified, and after a sudden change.

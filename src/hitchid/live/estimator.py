@@ -92,13 +92,8 @@ def window_estimate(
 ) -> tuple[Estimate, Estimate]:
     """Return the estimate after the strokes of a window, and that after its first stroke.
 
-    The second is the arrival cost of the window without that stroke.
-
-    Args:
-        fits_at: fits of the window's strokes, the oldest first, at changes of the parameters.
-        arrival: estimate before the window.
-        drift: Q.
-        allowed: parameters that may move.
+    The second is the arrival cost of the window without that stroke. `fits_at` gives the fits of the strokes,
+    the oldest first, at changes of the parameters; `arrival` is the estimate before the window, `drift` Q.
     """
     latest = first = arrival
     for _ in range(ITERATIONS):

@@ -2,7 +2,6 @@
 
 import contextlib
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,7 +12,7 @@ from hitchid._support.records import short_repr
 from hitchid.errors import InputError
 from hitchid.live.parameters import DEAD_ZONE, LAG, NAMES, Changes, has_lag
 from hitchid.live.settings import AdaptationSettings
-from hitchid.live.stroke_errors import StrokeRuns
+from hitchid.live.stroke_errors import StrokeRuns, range_of_tests
 from hitchid.live.strokes import LONGEST_S, SETTLE_S, Stroke
 from hitchid.logs.kinds import effective_command
 from hitchid.logs.record import DIRECTIONS
@@ -116,69 +115,56 @@ class Gate:
     settings: AdaptationSettings
 
     @property
-    def range_of_tests(self) -> float:
-        """Range of the displacement in the identification tests, in the model's unit."""
-        covered = self.channel.operating_range.displacement
-        return float(covered.highest) - float(covered.lowest)
-
-    @property
     def least_rest(self) -> float:
         """Change of the displacement that counts as none, whatever the noise, in the model's unit."""
-        return REST_SHARE * self.range_of_tests
+        return REST_SHARE * range_of_tests(self.channel)
 
     def refusal(self, stroke: Stroke) -> str:
         """Return why a stroke cannot be judged, from its samples alone; empty where it can."""
-        return next(self._refusals(stroke), "")
-
-    def _refusals(self, stroke: Stroke) -> Iterator[str]:
         measured = np.isfinite(stroke.displacement)
         missing = 1 - measured.mean()
         if missing > LARGEST_MISSING:
-            yield f"{100 * missing:.0f} % of the displacement is missing"
+            return f"{100 * missing:.0f} % of the displacement is missing"
         rest = stroke.displacement[: stroke.rest][measured[: stroke.rest]]
         noise = max(float(self.channel.load_filter.noise), np.finfo(float).tiny)
         if len(rest) < max(2, round(LEAST_REST_S / self.step_s)):
-            yield "it does not start at rest"
-            return
+            return "it does not start at rest"
         half = len(rest) // 2
         moved = abs(rest[half:].mean() - rest[:half].mean())
         if moved > max(NOISE_LIMIT * noise / np.sqrt(half), self.least_rest):
-            yield f"it does not start at rest: {moved:.3g} in {len(rest)} samples before the command"
+            return f"it does not start at rest: {moved:.3g} in {len(rest)} samples before the command"
         displacement = stroke.displacement[measured]
         # No motion puts a sample outside of both its neighbours; a spike does.
         inner, neighbours = displacement[1:-1], np.sort([displacement[:-2], displacement[2:]], axis=0)
         outside = float(np.abs(inner - np.clip(inner, *neighbours)).max(initial=0.0))
         limit = max(NOISE_LIMIT * np.sqrt(2) * max(noise, _noise(displacement)), self.least_rest)
         if outside > limit:
-            yield f"a sample lies {outside:.3g} outside of both its neighbours"
+            return f"a sample lies {outside:.3g} outside of both its neighbours"
         travel = float(np.ptp(displacement))
-        if travel < self.settings.shortest_travel * self.range_of_tests:
-            yield f"the travel is too short: {travel:.3g}"
+        if travel < self.settings.shortest_travel * range_of_tests(self.channel):
+            return f"the travel is too short: {travel:.3g}"
         command = stroke.commands[:, DIRECTIONS.index(self.channel.direction)]
         highest = float(self.channel.operating_range.command.highest)
         largest = float(np.abs(effective_command(command, self.channel.dead_zone)).max())
         if largest > (1 + COMMAND_MARGIN) * highest:
-            yield f"the command is outside the identified range: {largest:.3g} beyond the dead zone"
+            return f"the command is outside the identified range: {largest:.3g} beyond the dead zone"
         if (limits := self.channel.limits) is not None:
             # Beyond a stop there is no motion to learn from, only the error of its place.
             margin = STOP_MARGIN * (limits.upper - limits.lower)
             lowest, highest = limits.lower - margin, limits.upper + margin
             if displacement.min() < lowest or displacement.max() > highest:
-                yield f"it leaves the range of the logs, {lowest:.4g} to {highest:.4g}"
+                return f"it leaves the range of the logs, {lowest:.4g} to {highest:.4g}"
+        return ""
 
     def misfit(self, runs: StrokeRuns, own: int, usual: float) -> str:
         """Return why a stroke is no motion of this plant, whatever its gain and dead zone; empty where it is.
 
         Run number `own` has those of the stroke; `usual` is the share of the travel usually left as error.
         """
-        return next(self._misfits(runs, own, usual), "")
-
-    def _misfits(self, runs: StrokeRuns, own: int, usual: float) -> Iterator[str]:
         keep = np.flatnonzero(runs.measured)
-        shortest = self.settings.shortest_travel * self.range_of_tests
+        shortest = self.settings.shortest_travel * range_of_tests(self.channel)
         if keep.size < FEWEST_SAMPLES or np.ptp((runs.displacement + runs.errors)[own][keep]) < shortest:
-            yield "the travel before the end stop is too short"
-            return
+            return "the travel before the end stop is too short"
         simulated, errors = runs.displacement[own][keep], runs.errors[own][keep]
         measured = simulated + errors
         # Neighbouring errors differ by the sensor's noise; the median keeps spikes and jumps out.
@@ -186,20 +172,21 @@ class Gate:
         noise = max(float(self.channel.load_filter.noise), apart)
         steps, expected = np.diff(measured), np.diff(simulated)
         if (measured[-1] - measured[0]) * (simulated[-1] - simulated[0]) <= 0:
-            yield "it moves against its command"
+            return "it moves against its command"
         limit = SPEED_LIMIT * np.abs(expected).max() + NOISE_LIMIT * np.sqrt(2) * noise
         if np.abs(steps - expected).max() > limit:
-            yield f"the displacement jumps by {np.abs(steps - expected).max():.3g} within a sample"
+            return f"the displacement jumps by {np.abs(steps - expected).max():.3g} within a sample"
         # A stuck sensor or an end stop: no motion over a while in which the model moves.
         width = max(2, round(STANDSTILL_S / runs.step_s))
         modelled = np.abs(simulated[width:] - simulated[:-width])
         seen = np.abs(measured[width:] - measured[:-width])
         if np.any((modelled > 2 * NOISE_LIMIT * noise) & (seen < STANDSTILL_SHARE * modelled)):
-            yield "the displacement stands still while the model moves"
+            return "the displacement stands still while the model moves"
         left = runs.share_left(own)
         limit = min(MISFIT_FACTOR * usual, LARGEST_MISFIT)
         if left > np.hypot(limit, 2 * noise / max(float(np.ptp(simulated)), noise)):
-            yield f"{100 * left:.2g} % of the travel are left as error after gain and dead zone are fitted"
+            return f"{100 * left:.2g} % of the travel are left as error after gain and dead zone are fitted"
+        return ""
 
 
 def _noise(displacement: Float[np.ndarray, " n"]) -> float:
@@ -283,5 +270,4 @@ def _samples(step_s: float) -> int:
 
 
 def _range_of_tests(model: Hitch) -> float:
-    ranges = [channel.operating_range.displacement for channel in model.channels.values()]
-    return max(float(covered.highest) - float(covered.lowest) for covered in ranges)
+    return max(map(range_of_tests, model.channels.values()))

@@ -39,9 +39,6 @@ class RangeCheck:
     """Compares commands and displacement with those of the identification tests.
 
     It computes with Python's numbers: for single ones NumPy takes several times as long.
-
-    Args:
-        model: an identified hitch.
     """
 
     def __init__(self, model: Hitch) -> None:
@@ -63,9 +60,7 @@ class RangeCheck:
     def flags(self, sample: Mapping[str, float], mode: int) -> list[str]:
         """Return a sentence for each command outside its range, and for a displacement outside all of them.
 
-        Args:
-            sample: role to value, in the model's units; NaN where it is missing.
-            mode: index of the active channel; −1 before any was active.
+        The mode is the index of the active channel; −1 before any was active.
         """
         outside = []
         for direction, covered in self._covered.items():
@@ -212,7 +207,7 @@ class Live:
                 flags.append(f"out of order: {stamp:.12g} s follows {before_s:.12g} s, which is left out")
                 self._doubted.clear()
             replaced = self._undo_steps(-offset)
-        if TIME in replaced:
+        if TIME in replaced:  # not where the step was one of a gap
             flags.append(
                 f"early: the samples at {replaced[TIME]:.12g} s and {time_s:.12g} s are in the same "
                 f"sampling step; the sample at {time_s:.12g} s is used"

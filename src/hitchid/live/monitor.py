@@ -83,11 +83,7 @@ class Monitor:
 
     @double_precision
     def adjust(self, model: Hitch) -> None:
-        """Go on with a model whose gains, dead zones and bands differ; nothing is compiled anew.
-
-        Args:
-            model: the one that is monitored, adapted.
-        """
+        """Go on with the model, adapted in gains, dead zones and bands; nothing is compiled anew."""
         dynamics, groups = self._parts(model)
         self._dynamics = _with_models_of(self._dynamics, dynamics)
         self._groups = [

@@ -47,11 +47,7 @@ def adjusted_state(dynamics: HitchDynamics, state: HitchState) -> HitchState:
 
 
 class AdjustableHitch:
-    """`Hitch.step` with physical models that may get other numbers, of the same structure.
-
-    Args:
-        model: identified hitch, at given covariates; its networks stay.
-    """
+    """`Hitch.step` with physical models that may get other numbers of their structure; networks stay."""
 
     @double_precision
     def __init__(self, model: Hitch) -> None:

@@ -56,10 +56,8 @@ def alarm_threshold(strokes_between_alarms: float) -> float:
     """Return h at which streams without a change have a mean number of strokes between alarms.
 
     Textbook thresholds are for normal errors of known scale. Here scale and mean are those of some twenty
-    strokes, so that each simulated stream has its own, and its errors are of Student's t.
-
-    Args:
-        strokes_between_alarms: mean over all streams, of a direction; at most `MOST_STROKES_BETWEEN`.
+    strokes, so that each simulated stream has its own, and its errors are of Student's t. The mean number is
+    over all streams, of a direction.
     """
     freedom = DEGREES_OF_FREEDOM
     rng = np.random.default_rng(0)

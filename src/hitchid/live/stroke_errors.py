@@ -61,18 +61,18 @@ class StrokeFit(NamedTuple):
         return float(self.gradient[0] / np.sqrt(max(self.information[0, 0], np.finfo(float).tiny)))
 
 
+def range_of_tests(channel: Channel) -> float:
+    """Return the range of the displacement in the identification tests, in the model's unit."""
+    covered = channel.operating_range.displacement
+    return float(covered.highest) - float(covered.lowest)
+
+
 class StrokeErrors:
     """Errors of the strokes of one channel.
 
     Strokes are on a clock on which the longest has 1024 samples, a command being the mean over each of its
-    intervals; missing samples do not count.
-
-    Args:
-        channel: as identified.
-        step_s: sampling time of the strokes, s.
-        load: covariates, in the order of the benchmark's.
-        window: number of strokes that are fitted at once; each number is compiled once.
-        bands: of the channel as identified; None where it has none.
+    intervals; missing samples do not count. As many strokes are fitted at once as `window` says, which is
+    compiled once; covariates (`load`) are in the order of the benchmark's.
     """
 
     def __init__(
@@ -163,7 +163,12 @@ class StrokeErrors:
         whole = np.pad(kept, (0, blocks * self._factor - len(kept)), mode="edge")
         mean = whole.reshape(blocks, -1).mean(axis=1)
         displacement = stroke.displacement[: len(kept) : self._factor]
-        measured = np.isfinite(displacement) & self._before_stop(displacement)
+        measured = np.isfinite(displacement)
+        stop = _stop_ahead(self.channel)
+        if stop is not None:  # from which on the model says nothing of the speed
+            margin = STOP_SHARE * range_of_tests(self.channel)
+            reached = np.nan_to_num(self.channel.sign * (stop - displacement), nan=np.inf) <= margin
+            measured &= ~np.maximum.accumulate(reached)
         initial = float(np.nanmean(stroke.displacement[: stroke.rest + 1]))
         padding = (0, SAMPLES - blocks)
         return (
@@ -173,16 +178,6 @@ class StrokeErrors:
             np.pad(np.ones(blocks, bool), padding),
             initial,
         )
-
-    def _before_stop(self, displacement: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-        """Return which samples come before an end stop ahead, where the model says nothing of the speed."""
-        stop, sign = stop_ahead(self.channel), self.channel.sign
-        if stop is None:
-            return np.ones(displacement.shape, bool)
-        covered = self.channel.operating_range.displacement
-        margin = STOP_SHARE * (float(covered.highest) - float(covered.lowest))
-        reached = np.nan_to_num(sign * (stop - displacement), nan=np.inf) <= margin
-        return ~np.maximum.accumulate(reached)
 
     def _empty(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
         none = np.zeros(SAMPLES, bool)
@@ -231,13 +226,11 @@ class StrokeRuns(NamedTuple):
         return StrokeFit(self.changes[number], squares, gradient, self.information, travel)
 
 
-def stop_ahead(channel: Channel) -> float | None:
+def _stop_ahead(channel: Channel) -> float | None:
     """Return the end stop towards which a channel moves; None where none was met."""
-    if channel.end_stop is not None:
-        return channel.end_stop
     limits = channel.limits
-    if limits is None:
-        return None
+    if channel.end_stop is not None or limits is None:
+        return channel.end_stop
     if channel.sign > 0:
         return limits.upper if limits.upper_stop else None
     return limits.lower if limits.lower_stop else None
@@ -297,17 +290,9 @@ LEAST_EVIDENCE = 100.0  # likelihood ratio in favour of a limit at which a strok
 def speed_limit(runs: StrokeRuns, run: int, gain_run: int, variance: float) -> float:
     """Return the limit of speed that explains a stroke better than another gain does; 1 where none does.
 
-    Both have one parameter: the free run y with its increments within ±c max|Δy|, and that with the stroke's
-    own gain. A pump that cannot deliver gives the same speed at each command that requires more.
-
-    Args:
-        runs: free runs of a stroke.
-        run: number of that of the model.
-        gain_run: number of that with the stroke's own gain.
-        variance: of an error, in the displacement's unit squared.
-
-    Returns:
-        The limit, over the fastest simulated speed.
+    Both have one parameter: the free run y (of number `run`) with its increments within ±c max|Δy|, and that
+    with the stroke's own gain (`gain_run`). A pump that cannot deliver gives the same speed at each command
+    that requires more. The limit c is over the fastest simulated speed, the variance that of an error.
     """
     simulated = runs.displacement[run]
     measured = simulated + runs.errors[run]

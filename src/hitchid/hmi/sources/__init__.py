@@ -26,8 +26,24 @@ def make_source(text: str) -> Source:
             from hitchid.hmi.sources.simulated import Replay
 
             return Replay(argument)
-        case "stdin" | "serial" | "udp":
-            return _lines_source(name, argument)
+        case "stdin":
+            from hitchid.hmi.sources.json_lines import FileTransport, JsonLines
+
+            return JsonLines(FileTransport(), "standard input")  # which takes no commands
+        case "serial":
+            from hitchid.hmi.sources.json_lines import FileTransport, JsonLines
+
+            device, _, baud = argument.partition("@")
+            if baud and not baud.isdecimal():
+                raise InputError(f"serial: expected DEVICE@BAUD, got '{argument}'")
+            transport = FileTransport(device, int(baud)) if baud else FileTransport(device)
+            return JsonLines(transport, f"serial {device}", can_move=True)
+        case "udp":
+            from hitchid.hmi.sources.json_lines import JsonLines, UdpTransport
+
+            if not argument.isdecimal() or not 0 < int(argument) < 65536:
+                raise InputError(f"udp: expected a port from 1 to 65535, got '{argument}'")
+            return JsonLines(UdpTransport(int(argument)), f"UDP port {argument}", can_move=True)
         case "can":
             from hitchid.hmi.sources.can_bus import CanBus
 
@@ -35,7 +51,7 @@ def make_source(text: str) -> Source:
     if not argument:
         raise InputError(f"source: expected one of {NAMES} or MODULE:OBJECT, got {text}")
     if (here := str(Path.cwd())) not in sys.path:
-        sys.path.insert(0, here)
+        sys.path.insert(0, here)  # a source of the operator lies in the project
     try:
         source = getattr(importlib.import_module(name), argument)()
     except Exception as error:  # whatever a foreign module raises
@@ -43,20 +59,3 @@ def make_source(text: str) -> Source:
     if not isinstance(source, Source):
         raise InputError(f"source: {text} is no source; expected what hitchid.hmi.Source names")
     return source
-
-
-def _lines_source(name: str, argument: str) -> Source:
-    """Return a source of JSON lines; standard input takes no commands."""
-    from hitchid.hmi.sources.json_lines import FileTransport, JsonLines, UdpTransport
-
-    if name == "stdin":
-        return JsonLines(FileTransport(), "standard input")
-    if name == "udp":
-        if not argument.isdecimal() or not 0 < int(argument) < 65536:
-            raise InputError(f"udp: expected a port from 1 to 65535, got '{argument}'")
-        return JsonLines(UdpTransport(int(argument)), f"UDP port {argument}", can_move=True)
-    device, _, baud = argument.partition("@")
-    if baud and not baud.isdecimal():
-        raise InputError(f"serial: expected DEVICE@BAUD, got '{argument}'")
-    transport = FileTransport(device, int(baud)) if baud else FileTransport(device)
-    return JsonLines(transport, f"serial {device}", can_move=True)

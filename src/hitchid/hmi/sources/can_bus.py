@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from hitchid.errors import InputError
-from hitchid.hmi.source import REQUIRED, Reading, Signal
+from hitchid.hmi.source import REQUIRED, Reading, signal_named
 from hitchid.logs.signal_map import Strict, parse_settings
 
 HELD_S = 0.1  # s, age at which a value counts as missing, not as measured again; chosen: a slow cycle time
@@ -47,11 +47,7 @@ class BusFile(Strict):
 
 
 class CanBus:
-    """The newest values of signals on a CAN bus, sampled each tick.
-
-    Args:
-        path: TOML file with bus, database, signals and output; see `BusFile`.
-    """
+    """The newest values of signals on a CAN bus, sampled each tick; see `BusFile`."""
 
     virtual = False
 
@@ -66,13 +62,7 @@ class CanBus:
         located = {name: self._located(path, text) for name, text in self._settings.signals.items()}
         names = (*REQUIRED, *(name for name in located if name not in REQUIRED))
         self.signals = tuple(
-            Signal(
-                name,
-                name.replace("_", " ").capitalize(),
-                located[name][1].unit or "1",
-                GROUPS.get(name, "other"),
-            )
-            for name in names
+            signal_named(name, located[name][1].unit or "1", GROUPS.get(name, "other")) for name in names
         )
         self._columns: dict[int, list[tuple[int, str]]] = {}
         for column, name in enumerate(names):

@@ -11,12 +11,12 @@ import sys
 import termios
 import tty
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 
 from hitchid.errors import InputError
-from hitchid.hmi.source import DISPLACEMENT, LIFTING_COMMAND, LOWERING_COMMAND, REQUIRED, Reading, Signal
+from hitchid.hmi.source import REQUIRED, REQUIRED_SIGNALS, Reading, signal_named
 
 LOOPBACK = "127.0.0.1"
 MOST_BYTES = 65536  # read at once, and of an unfinished line; chosen
@@ -25,34 +25,20 @@ MOST_LINES_WAITING = 3  # commands that may wait in a serial port: 30 ms of them
 CAN_BE_BUSY = (BlockingIOError, InterruptedError)
 
 
-@runtime_checkable
 class Transport(Protocol):
-    """Where lines come from and go to."""
+    """Where lines come from and go to; no call may block.
 
-    def open(self) -> None:
-        """Connect without blocking."""
-        ...
+    `read` returns what has arrived, empty for nothing yet, None at the end.
+    """
 
-    def read(self) -> bytes | None:
-        """Return what has arrived, empty for nothing yet, None at the end."""
-        ...
-
-    def write(self, line: bytes) -> None:
-        """Send one line."""
-        ...
-
-    def close(self) -> None:
-        """Disconnect."""
-        ...
+    def open(self) -> None: ...
+    def read(self) -> bytes | None: ...
+    def write(self, line: bytes) -> None: ...
+    def close(self) -> None: ...
 
 
 class FileTransport:
-    """Standard input, or a device such as a serial port, which is set to raw bytes and also written to.
-
-    Args:
-        path: of the device, empty for standard input.
-        baud: of a serial port, bit/s.
-    """
+    """Standard input (no path), or a device such as a serial port, set to raw bytes and also written to."""
 
     def __init__(self, path: str = "", baud: int = 115_200) -> None:
         if not hasattr(termios, f"B{baud}"):
@@ -95,9 +81,11 @@ class FileTransport:
         """Send one line to the device; standard input takes none."""
         if not self._path:
             return
-        if os.isatty(self._file) and self._waiting_bytes() > MOST_LINES_WAITING * len(line):
-            termios.tcflush(self._file, termios.TCOFLUSH)  # or the zero to come would queue behind it
-            raise InputError(f"{self._path}: takes commands slower than they come; raise its baud rate")
+        if os.isatty(self._file):
+            (waiting,) = struct.unpack("i", fcntl.ioctl(self._file, termios.TIOCOUTQ, b"\0\0\0\0"))
+            if waiting > MOST_LINES_WAITING * len(line):
+                termios.tcflush(self._file, termios.TCOFLUSH)  # or the zero to come would queue behind it
+                raise InputError(f"{self._path}: takes commands slower than they come; raise its baud rate")
         if os.write(self._file, line) != len(line):
             raise InputError(f"{self._path}: took a part of a command only; raise its baud rate")
 
@@ -105,17 +93,9 @@ class FileTransport:
         """Close the device."""
         os.close(self._file)
 
-    def _waiting_bytes(self) -> int:
-        """Return the bytes that were written and are not sent yet."""
-        return struct.unpack("i", fcntl.ioctl(self._file, termios.TIOCOUTQ, b"\0\0\0\0"))[0]
-
 
 class UdpTransport:
-    """UDP on the loopback interface; the first sender is heard and answered, no other until `close`.
-
-    Args:
-        port: to listen at.
-    """
+    """UDP on the loopback interface; the first sender is heard and answered, no other until `close`."""
 
     def __init__(self, port: int) -> None:
         self._port = port
@@ -182,16 +162,11 @@ class JsonLines:
         covariates: dict[str, str] | None = None,
     ) -> None:
         self._transport, self.label, self.step_s, self.can_move = transport, label, step_s, can_move
-        further = tuple(
-            Signal(name, name.replace("_", " ").capitalize(), unit, "pressure" if unit == "bar" else "other")
+        further = (
+            signal_named(name, unit, "pressure" if unit == "bar" else "other")
             for name, unit in (covariates or {}).items()
         )
-        self.signals = (
-            Signal(LIFTING_COMMAND, "Lifting command", "A", "command"),
-            Signal(LOWERING_COMMAND, "Lowering command", "A", "command"),
-            Signal(DISPLACEMENT, "Displacement", "mm", "displacement"),
-            *further,
-        )
+        self.signals = (*REQUIRED_SIGNALS, *further)
 
     def open(self) -> None:
         """Connect."""

@@ -1,4 +1,4 @@
-"""A log as a source: its samples as they were recorded."""
+"""The virtual bench and logs as sources."""
 
 import math
 from collections.abc import Sequence
@@ -11,33 +11,24 @@ from hitchid.bench import load_rig
 from hitchid.bench.simulation import SAMPLE_S
 from hitchid.bench.stepping import reset, step
 from hitchid.errors import InputError
-from hitchid.hmi.source import DISPLACEMENT, LIFTING_COMMAND, LOWERING_COMMAND, Reading, Signal
+from hitchid.hmi.source import DISPLACEMENT, REQUIRED, REQUIRED_SIGNALS, Reading, signal_named
 from hitchid.logs import read
 from hitchid.logs.record import COMMAND, DIRECTIONS
-
-# The virtual bench as a source.
 
 START_M = 0.02  # m, displacement at which the bench is switched on: just above the lower stop; chosen
 PA_PER_BAR = 1e5
 
 
 class VirtualBench:
-    """The virtual bench: currents in, displacement, currents and pressures out, 10 ms a sample.
-
-    Args:
-        rig: name or file of a parameter set.
-        seed: of the noise of its sensors.
-    """
+    """The virtual bench of a parameter set: currents in, displacement, currents and pressures out."""
 
     label = "virtual bench"
     signals = (
-        Signal(LIFTING_COMMAND, "Lifting command", "A", "command"),
-        Signal(LOWERING_COMMAND, "Lowering command", "A", "command"),
-        Signal(DISPLACEMENT, "Displacement", "mm", "displacement"),
-        Signal("lifting_current", "Lifting current", "A", "command"),
-        Signal("lowering_current", "Lowering current", "A", "command"),
-        Signal("cylinder_pressure", "Cylinder pressure", "bar", "pressure"),
-        Signal("supply_pressure", "Supply pressure", "bar", "pressure"),
+        *REQUIRED_SIGNALS,
+        signal_named("lifting_current", "A", "command"),
+        signal_named("lowering_current", "A", "command"),
+        signal_named("cylinder_pressure", "bar", "pressure"),
+        signal_named("supply_pressure", "bar", "pressure"),
     )
     step_s = SAMPLE_S
     virtual = True
@@ -76,11 +67,7 @@ GROUPS = {"bar": "pressure", "Pa": "pressure", "kPa": "pressure", "MPa": "pressu
 
 
 class Replay:
-    """A log, sample by sample on its own clock; it moves nothing and ends with the log.
-
-    Args:
-        log: file; a `campaign.toml` beside it assigns its signals.
-    """
+    """A log, sample by sample on its own clock; a `campaign.toml` beside it assigns its signals."""
 
     virtual = True
     can_move = False
@@ -91,17 +78,17 @@ class Replay:
             raise InputError(f"{log}: holds no record that can be replayed")
         record = records[0]
         columns = {}
-        for name, direction in zip((LIFTING_COMMAND, LOWERING_COMMAND), DIRECTIONS, strict=True):
+        for name, direction in zip(REQUIRED[:2], DIRECTIONS, strict=True):
             given = direction in record.directions
             unit = record.units[COMMAND[direction]] if given else "A"
-            signal = Signal(name, f"{direction.capitalize()} command", unit, "command")
-            columns[signal] = record.command(direction) if given else np.zeros(len(record))
-        columns[Signal(DISPLACEMENT, "Displacement", record.unit, "displacement")] = record.displacement
+            columns[signal_named(name, unit, "command")] = (
+                record.command(direction) if given else np.zeros(len(record))
+            )
+        columns[signal_named(DISPLACEMENT, record.unit, "displacement")] = record.displacement
         for name, values in record.signals.items():
-            if name != "displacement" and name not in COMMAND.values():
+            if name != DISPLACEMENT and name not in COMMAND.values():
                 unit = record.units[name]
-                label = name.replace("_", " ").capitalize()
-                columns[Signal(name, label, unit, GROUPS.get(unit, "other"))] = values
+                columns[signal_named(name, unit, GROUPS.get(unit, "other"))] = values
         self.label = f"replay of {Path(log).name}"
         self.signals = tuple(columns)
         self.step_s = record.step_s
