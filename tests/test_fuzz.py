@@ -551,9 +551,7 @@ def test_a_database_of_10_000_signals_is_read(every, tmp_path, process):
     files = files_of(every, "asc")
     signals = [f's{n} : {6 * n}|6@1+ (1,0) [0|0] "" ECU' for n in range(10)]
     database = write_dbc(
-        tmp_path / "large.dbc",
-        *fuzzing.DBC,
-        *(message(2**31 + n, f"M{n}", *signals) for n in range(1000)),
+        tmp_path / "large.dbc", *fuzzing.DBC, *(message(2**31 + n, f"M{n}", *signals) for n in range(1000))
     )
     fuzzing.put(tmp_path / "in", {**files, "bus.dbc": database.read_bytes()})
     fuzzing.read_logs(tmp_path / "in", process)

@@ -3,28 +3,24 @@
 import json
 
 import pytest
-from typer.testing import CliRunner
+from commands import hitchid
 
 import handmade
-import hitchid
-from hitchid import cli
-from hitchid.errors import HitchError
+from hitchid.model import save
 
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
     """Return the folder of a model."""
     folder = tmp_path_factory.mktemp("export") / "model with ü"
-    hitchid.save(handmade.hitch("integrator-first-order", compensated=True, filtered=True), folder)
+    save(handmade.hitch("integrator-first-order", compensated=True, filtered=True), folder)
     return folder
 
 
 def run(*arguments) -> tuple[int, str]:
-    """Return exit code and output, errors as `hitchid.cli.main` prints them."""
-    result = CliRunner().invoke(cli.app, ["export", *map(str, arguments)])
-    if isinstance(result.exception, HitchError):
-        return 2, str(result.exception)
-    return result.exit_code, result.output
+    """Return exit code and output, of a refusal what it says."""
+    result = hitchid("export", *arguments)
+    return result.code, result.err if result.code == 2 else result.out
 
 
 @pytest.mark.parametrize(

@@ -4,12 +4,9 @@ import json
 from importlib.util import find_spec
 
 import pytest
-import typer
-from typer.testing import CliRunner
+from commands import hitchid
 
 import fleet_rows
-from hitchid.cli.fleet import report
-from hitchid.errors import HitchError
 from hitchid.fleet import Store
 from hitchid.fleet.ledger import row_name
 
@@ -31,14 +28,9 @@ def store(tmp_path_factory):
 
 
 def run(*arguments):
-    """Return exit code and output, errors as the program prints them."""
-    app = typer.Typer()
-    app.command()(report)
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    if isinstance(result.exception, HitchError):
-        return 2, str(result.exception)
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result.exit_code, result.output
+    """Return exit code and output, of a refusal what it says."""
+    result = hitchid("fleet", "report", *arguments)
+    return result.code, result.err if result.code == 2 else result.out
 
 
 @pytest.fixture(scope="module")
@@ -98,5 +90,8 @@ def test_a_store_without_rows_a_table_without_machines_and_a_wrong_rate_are_refu
     assert "has no results of a fleet" in run(tmp_path / "empty", "--out", out)[1]
     (tmp_path / "names.csv").write_text("name,type\na,b\n", encoding="utf-8")
     assert "expected 'machine'" in run(store, "--out", out, "--machines", tmp_path / "names.csv")[1]
-    assert run(store, "--out", out, "--level", "1.5") == (2, "--level: got 1.5, expected between 0 and 1")
+    assert run(store, "--out", out, "--level", "1.5") == (
+        2,
+        "hitchid: --level: got 1.5, expected between 0 and 1\n",
+    )
     assert not out.exists()

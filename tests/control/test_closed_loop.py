@@ -124,8 +124,7 @@ def test_currents_are_zero_without_a_measurement(brisk) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "oil_c"),
-    [("heavy-cold", None), ("light-warm-worn", None), ("nominal", 5.0)],
+    ("name", "oil_c"), [("heavy-cold", None), ("light-warm-worn", None), ("nominal", 5.0)]
 )
 def test_the_bench_of_a_loop_is_that_of_the_campaigns_at_any_oil_temperature(name: str, oil_c) -> None:
     rig, currents = load_rig(name), jnp.array([0.8, 0.0])

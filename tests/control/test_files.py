@@ -8,25 +8,17 @@ import jax
 import numpy as np
 import pytest
 
-from controllers import UNITS
+from controllers import made_up_tuning
 from hitchid.control.files import load_controller, save_controller
-from hitchid.control.loops import Margins
-from hitchid.control.tuning import DirectionMargins, Tuning
 from hitchid.errors import OutputError, SettingsError
 from hitchid.logs.record import DIRECTIONS
-
-
-def tuning_of(controller, load, *, gain_db: float = 7.5) -> Tuning:
-    worst = Margins(*map(np.asarray, (gain_db, 51.0, 0.21, 1.6, 0.9)))
-    margins = {direction: DirectionMargins(worst, worst, 0.07) for direction in DIRECTIONS}
-    return Tuning(controller, "PI", {"PI": 31.0, "LQI": 32.5}, margins, load, UNITS, 200)
 
 
 @pytest.fixture(scope="module")
 def tuning(model, controller):
     """Return a tuning made by hand."""
     has_load = bool(next(iter(model.channels.values())).benchmark.covariates)
-    return tuning_of(controller, {"pressure": 125.0} if has_load else {})
+    return made_up_tuning(controller, {"pressure": 125.0} if has_load else {})
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +59,9 @@ def test_a_controller_that_was_read_has_the_same_currents(written, tuning) -> No
 
 
 def test_an_infinite_margin_is_read_as_it_was_written(tmp_path, model, tuning) -> None:
-    save_controller(tuning_of(tuning.controller, tuning.load, gain_db=np.inf), model, tmp_path / "a.toml")
+    save_controller(
+        made_up_tuning(tuning.controller, tuning.load, gain_db=np.inf), model, tmp_path / "a.toml"
+    )
     assert load_controller(tmp_path / "a.toml").margins[DIRECTIONS[0]]["gain_dB"] == np.inf
 
 

@@ -362,13 +362,7 @@ def _momentum(
 
 
 def _solve(
-    rig: Rig,
-    load: Load,
-    state: RigState,
-    flows: _Flows,
-    friction: _Friction,
-    momentum: _Momentum,
-    dt: Values,
+    rig: Rig, load: Load, state: RigState, flows: _Flows, friction: _Friction, momentum: _Momentum, dt: Values
 ) -> _Increments:
     """Solve the stage's linear system for the increments, eliminated in the order z, x, p_s, p, v."""
     cylinder, half = rig.cylinder, 0.5 * dt

@@ -49,7 +49,6 @@ def compare(
     check_inputs(out, [*paths, signals])
     prepare_jax()
     from hitchid._support.progress import ProgressUpdate
-    from hitchid.logs import read
     from hitchid.model import load
     from hitchid.report import write_report
     from hitchid.validation import compare as run
@@ -57,8 +56,7 @@ def compare(
     formats = report_formats(as_pdf=as_pdf, as_xlsx=as_xlsx, interactive=interactive)
     folders, logs = _split(paths)
     models = [load(folder) for folder in folders]
-    campaign = read(logs, signals=signals, strict=strict)
-    display.show_left_out(campaign, quiet=quiet)
+    campaign = display.read_campaign(logs, signals=signals, strict=strict, quiet=quiet)
     with display.progress(quiet=quiet) as report:
         comparison = run(models, campaign, [str(folder) for folder in folders], progress=report)
         report(ProgressUpdate("report", 0.98))

@@ -25,41 +25,44 @@ class Purpose(Enum):
     CONTROL = "control"
 
 
+Direction = Annotated[
+    OneDirection | None,
+    typer.Option("--direction", help="Direction to test [the one with the least determined parameter]."),
+]
+Reduced = Annotated[
+    str | None,
+    typer.Option(
+        "--parameter", help="Parameter whose error to reduce, such as time_constant [least determined]."
+    ),
+]
+For = Annotated[
+    Purpose | None,
+    typer.Option("--for", help="Test for a controller: of the parameter that its margins depend on most."),
+]
+Highest = Annotated[
+    float | None,
+    typer.Option("--highest", help="Largest command allowed, in the model's unit [largest in the tests]."),
+]
+Travel = Annotated[
+    float | None,
+    typer.Option("--travel", min=0, help="Largest travel allowed, in the model's unit [from the tests]."),
+]
+Longest = Annotated[
+    float | None,
+    typer.Option("--longest", min=0, help="Longest duration allowed, s [twice that of the tests]."),
+]
+Out = Annotated[Path | None, typer.Option("--out", help="CSV file for the command of the best test.")]
+
+
 def design(
     model: ModelFolder,
-    direction: Annotated[
-        OneDirection | None,
-        typer.Option("--direction", help="Direction to test [the one with the least determined parameter]."),
-    ] = None,
-    parameter: Annotated[
-        str | None,
-        typer.Option(
-            "--parameter", help="Parameter whose error to reduce, such as time_constant [least determined]."
-        ),
-    ] = None,
-    purpose: Annotated[
-        Purpose | None,
-        typer.Option(
-            "--for", help="Test for a controller: of the parameter that its margins depend on most."
-        ),
-    ] = None,
-    highest: Annotated[
-        float | None,
-        typer.Option(
-            "--highest", help="Largest command allowed, in the model's unit [largest in the tests]."
-        ),
-    ] = None,
-    travel: Annotated[
-        float | None,
-        typer.Option("--travel", min=0, help="Largest travel allowed, in the model's unit [from the tests]."),
-    ] = None,
-    longest: Annotated[
-        float | None,
-        typer.Option("--longest", min=0, help="Longest duration allowed, s [twice that of the tests]."),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="CSV file for the command of the best test.")
-    ] = None,
+    direction: Direction = None,
+    parameter: Reduced = None,
+    purpose: For = None,
+    highest: Highest = None,
+    travel: Travel = None,
+    longest: Longest = None,
+    out: Out = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the candidate tests.")] = 0,
     force: Force = False,
     as_json: AsJson = False,

@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hitchid.cli.program import AsJson, AsPdf, AsXlsx, Force, Quiet, command_line, report_formats
+from hitchid.cli.program import (
+    AsJson,
+    AsPdf,
+    AsXlsx,
+    Force,
+    OptionalSeed,
+    Quiet,
+    command_line,
+    report_formats,
+    settings_of,
+)
 from hitchid.errors import HitchError, InputError
 
 if TYPE_CHECKING:
@@ -121,21 +131,16 @@ def identify(
     runner: RunnerOption = RunnerName.LOCAL,
     workers: Workers = None,
     scheduler: Scheduler = None,
-    seed: Annotated[
-        int | None, typer.Option("--seed", min=0, max=2**32 - 1, help="Seed of every random draw [0].")
-    ] = None,
+    seed: OptionalSeed = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
     """Identify a model of each machine that has none yet; another run goes on where this one stopped."""
     from hitchid.cli import terminal as display
     from hitchid.fleet import identify_fleet
-    from hitchid.identification import Settings, read_settings
 
-    settings: Settings = {} if config is None else read_settings(config)
+    settings = settings_of(config, seed)
     settings["rivals"] = None
-    if seed is not None:
-        settings["seed"] = seed
     with display.progress(quiet=quiet) as shown:
         result = identify_fleet(
             store,

@@ -26,16 +26,12 @@ def hmi(
         bool, typer.Option("--allow-output", help="Allow commands to a real machine; requires --limits.")
     ] = False,
     limits: Annotated[
-        Path | None,
-        typer.Option("--limits", help="Limits file of the machine: largest commands, travel."),
+        Path | None, typer.Option("--limits", help="Limits file of the machine: largest commands, travel.")
     ] = None,
     silence_ms: Annotated[
         int,
         typer.Option(
-            "--silence-ms",
-            min=200,
-            max=5000,
-            help="Silence of the operator's page that stops, ms.",
+            "--silence-ms", min=200, max=5000, help="Silence of the operator's page that stops, ms."
         ),
     ] = 500,
     quiet: Quiet = False,

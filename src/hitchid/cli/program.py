@@ -15,6 +15,7 @@ from hitchid.errors import HitchError, InputError
 
 if TYPE_CHECKING:
     from hitchid.estimation import SearchComparison
+    from hitchid.identification import Settings
     from hitchid.report import Format
 
 
@@ -28,6 +29,11 @@ Accept = Annotated[
     Path | None, typer.Option("--accept", help="Acceptance limits in TOML; exit code 1 if one is violated.")
 ]
 Rig = Annotated[str, typer.Option("--rig", help="Parameter set: a name or a TOML file.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of every random draw.")]
+# Of an identification, whose settings file has a seed, too: without the option that one counts.
+OptionalSeed = Annotated[
+    int | None, typer.Option("--seed", min=0, max=2**32 - 1, help="Seed of every random draw [0].")
+]
 Logs = Annotated[list[Path], typer.Argument(help="Log files or folders of logs.", show_default=False)]
 Signals = Annotated[
     Path | None,
@@ -80,6 +86,21 @@ def _number(value: str, text: str) -> float:
         raise InputError(f"--load: expected a number or NAME=NUMBER, got {text}") from None
 
 
+def rig_files(rig: str) -> list[Path]:
+    """Return the file of `--rig`, which no result may replace; none where it is a name."""
+    return [Path(rig)] if rig.endswith(".toml") else []
+
+
+def settings_of(config: Path | None, seed: int | None) -> "Settings":
+    """Return the settings of a file, or those by default; a seed counts before that of the file."""
+    from hitchid.identification import Settings, read_settings
+
+    settings: Settings = {} if config is None else read_settings(config)
+    if seed is not None:
+        settings["seed"] = seed
+    return settings
+
+
 def report_formats(*, as_pdf: bool, as_xlsx: bool, interactive: bool) -> "list[Format]":
     """Return the requested formats of a report.
 
@@ -125,8 +146,7 @@ def _print_version(requested: bool) -> bool:
 @app.callback()
 def _options(
     version: Annotated[
-        bool,
-        typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True),
+        bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
     ] = False,
 ) -> None:
     """Options of the program itself."""

@@ -7,14 +7,14 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import AsJson, Force, Quiet, Rig, command_line
+from hitchid.cli.program import AsJson, Force, Quiet, Rig, Seed, command_line, rig_files
 
 
 def reproduce(
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
     quick: Annotated[bool, typer.Option("--quick", help="Quick study: fewer tests, short training.")] = False,
     rig: Rig = "nominal",
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of every random draw.")] = 0,
+    seed: Seed = 0,
     force: Force = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
@@ -24,7 +24,7 @@ def reproduce(
     from hitchid.cli import terminal as display
 
     check_folder(out, result_kind="study.md", force=force)
-    check_inputs(out, [Path(rig)] if rig.endswith(".toml") else [])
+    check_inputs(out, rig_files(rig))
     prepare_jax()
     from hitchid.bench.sun2025 import Plan, quick_plan
     from hitchid.bench.sun2025.reproduce import reproduce as run

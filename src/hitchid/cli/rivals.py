@@ -24,7 +24,6 @@ def rivals(
     prepare_jax()
     from hitchid.estimation import SearchComparison
     from hitchid.identification import train_rivals
-    from hitchid.logs import read
     from hitchid.model import load, load_trace, save
 
     hitch, trace = load(model), load_trace(model)
@@ -32,8 +31,7 @@ def rivals(
         raise OutputError(f"{model}: has trained rivals already; --force trains them again")
     # Before the training: a folder that was changed by hand is not replaced.
     check_folder(model, result_kind="model.json", force=True)
-    campaign = read(logs, signals=signals, strict=strict)
-    display.show_left_out(campaign, quiet=quiet)
+    campaign = display.read_campaign(logs, signals=signals, strict=strict, quiet=quiet)
     with display.progress(quiet=quiet) as report:
         hitch = train_rivals(hitch, campaign, searches=with_search_cache(SearchComparison()), progress=report)
     save(hitch, model, trace=trace, force=True)

@@ -144,9 +144,13 @@ def _change(value: float | None, error: float | None, scale: float, digits: int)
     return f"{scale * value:+.{digits}f} ± {scale * error:.{digits}f}"
 
 
-def show_left_out(campaign: "Campaign", *, quiet: bool = False) -> None:
-    """Write the logs left out, their reasons and number to stderr; nothing if `quiet`."""
+def read_campaign(logs: Sequence[Path], *, signals: Path | None, strict: bool, quiet: bool) -> "Campaign":
+    """Read logs; write those left out, with their reasons and number, to stderr, but not if `quiet`."""
+    from hitchid.logs import read
+
+    campaign = read(logs, signals=signals, strict=strict)
     write_messages("warning", () if quiet else campaign.notices)
+    return campaign
 
 
 def show_audit(findings: Iterable["AuditFinding"], *, quiet: bool = False) -> None:

@@ -56,7 +56,6 @@ def validate(
         check_inputs(junit, inputs)
     prepare_jax()
     from hitchid._support.progress import ProgressUpdate
-    from hitchid.logs import read
     from hitchid.model import load, load_trace
     from hitchid.report import read_trace, render, write_report
     from hitchid.validation import read_limits
@@ -65,8 +64,7 @@ def validate(
     formats = report_formats(as_pdf=as_pdf, as_xlsx=as_xlsx, interactive=interactive)
     limits = None if accept is None else read_limits(accept)
     hitch, trace = load(model), read_trace(load_trace(model))
-    campaign = read(logs, signals=signals, strict=strict)
-    display.show_left_out(campaign, quiet=quiet)
+    campaign = display.read_campaign(logs, signals=signals, strict=strict, quiet=quiet)
     if limits is not None:
         limits.check_convertible(campaign.records[0].unit)
     with display.progress(quiet=quiet) as report:

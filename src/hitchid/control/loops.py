@@ -90,11 +90,7 @@ def plant_response(
 
 
 def open_loop(
-    gains: Gains,
-    plant: PlantResponse,
-    model: PlantResponse,
-    omega: Float[np.ndarray, " f"],
-    step_s: float,
+    gains: Gains, plant: PlantResponse, model: PlantResponse, omega: Float[np.ndarray, " f"], step_s: float
 ) -> Complex[np.ndarray, "*s f"]:
     """Return the loop L = C S P/(1 + S (C (M₀ − M) + (k_v D + k_a D²) M₀)), open at the measurement.
 
