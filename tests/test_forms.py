@@ -5,7 +5,6 @@ import pytest
 
 import handmade
 import hitchid
-from hitchid.errors import InputError
 from hitchid.identification.config import DEFAULT_STRUCTURES, SEARCHES, IdentificationConfig
 from hitchid.logs import write_table
 from truth import levels
@@ -61,14 +60,6 @@ def test_a_simulation_is_drawn_over_its_commands(log):
     np.testing.assert_array_equal(curve.get_ydata(), run.displacement)
     drawn = {line.get_label(): line.get_ydata() for line in commands.get_lines()}
     np.testing.assert_array_equal(drawn["lifting command"], record["lifting_command"])
-
-
-def test_a_model_saves_itself_once(tmp_path):
-    MODEL.save(tmp_path / "model")
-    assert hitchid.load(tmp_path / "model").dead_zones == MODEL.dead_zones
-    with pytest.raises(InputError, match="exists"):
-        MODEL.save(tmp_path / "model")
-    MODEL.save(tmp_path / "model", force=True)
 
 
 def test_structures_and_searches_have_names():

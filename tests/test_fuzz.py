@@ -199,7 +199,7 @@ LONG = {
 }
 
 
-@pytest.mark.parametrize("content", LONG.values(), ids=LONG.keys())
+@pytest.mark.parametrize("content", LONG.values(), ids=LONG)
 def test_text_of_any_length_is_told_in_time(put, process, content):
     refused(put(a__csv=content), process, within_s=5)
 
@@ -215,7 +215,7 @@ TOO_MUCH = {
 }
 
 
-@pytest.mark.parametrize("content", TOO_MUCH.values(), ids=TOO_MUCH.keys())
+@pytest.mark.parametrize("content", TOO_MUCH.values(), ids=TOO_MUCH)
 @pytest.mark.parametrize("door", ["campaign.toml", "settings", "limits", "rig"])
 def test_settings_beyond_measure_are_refused_in_time_and_in_few_words(
     every, tmp_path, process, content, door
@@ -251,7 +251,7 @@ CLOCKS = {
 }
 
 
-@pytest.mark.parametrize("time_s", CLOCKS.values(), ids=CLOCKS.keys())
+@pytest.mark.parametrize("time_s", CLOCKS.values(), ids=CLOCKS)
 @pytest.mark.filterwarnings("ignore:overflow")
 def test_a_clock_no_logger_has_is_refused(put, process, time_s):
     assert "the sampling time is" in refused(put(a__csv=rows(time_s.tolist())), process)

@@ -88,25 +88,14 @@ def test_seeds_give_the_noise(rig, currents):
 def test_no_oil_is_made_or_lost_where_the_rig_changes(rig, currents):
     """An implement taken up, oil that warms, a valve and a piston that wear, a pump that slows down."""
 
+    def parts(rig):
+        worn = (rig.cylinder.leakage, rig.lowering_valve.spool.dead_zone)
+        return (rig.linkage.implement_mass, rig.oil.temperature, *worn, rig.supply.pump_flow)
+
     def changed(rig, time_s):
-        late = time_s > 3.0
-        return eqx.tree_at(
-            lambda r: (
-                r.linkage.implement_mass,
-                r.oil.temperature,
-                r.cylinder.leakage,
-                r.lowering_valve.spool.dead_zone,
-                r.supply.pump_flow,
-            ),
-            rig,
-            (
-                rig.linkage.implement_mass * jnp.where(late, 1.3, 1.0),
-                rig.oil.temperature + 5.0 * time_s,
-                rig.cylinder.leakage * jnp.where(late, 3.0, 1.0),
-                rig.lowering_valve.spool.dead_zone + jnp.where(late, 0.03, 0.0),
-                rig.supply.pump_flow * jnp.where(late, 0.8, 1.0),
-            ),
-        )
+        factors = jnp.where(time_s > 3.0, jnp.array([1.3, 1.0, 3.0, 1.1, 0.8]), 1.0)
+        mass, temperature, *others = (factor * part for factor, part in zip(factors, parts(rig), strict=True))
+        return eqx.tree_at(parts, rig, (mass, temperature + 5.0 * time_s, *others))
 
     plant = run(rig, currents, changed=changed)[0].plant
     held = rig.oil.amount(

@@ -111,16 +111,12 @@ def test_the_mass_of_the_implement_changes_the_motion(traced, brisk) -> None:
     assert np.abs(other.displacement[1] - traced.displacement[1]).max() > 1e-3
 
 
-def test_a_lost_sensor_measures_nothing_in_just_these_samples(brisk) -> None:
-    found = closed(brisk, sensor_lost=LOST)
-    np.testing.assert_array_equal(np.isnan(found.measured), np.tile(LOST, (2, 1)))
-
-
-def test_currents_are_zero_without_a_measurement(brisk) -> None:
-    found = closed(brisk, sensor_lost=LOST)
-    assert np.any(found.commands[:, LOST.argmax() - 1] > 0)
-    assert np.all(found.commands[np.isnan(found.measured)] == 0)
-    assert np.all(np.isfinite(found.displacement))
+def test_a_lost_sensor_measures_nothing_and_closes_the_valves(brisk) -> None:
+    loops = closed(brisk, sensor_lost=LOST)
+    np.testing.assert_array_equal(np.isnan(loops.measured), np.tile(LOST, (2, 1)))
+    assert np.any(loops.commands[:, LOST.argmax() - 1] > 0)
+    assert np.all(loops.commands[np.isnan(loops.measured)] == 0)
+    assert np.all(np.isfinite(loops.displacement))
 
 
 @pytest.mark.parametrize(

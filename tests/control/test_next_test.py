@@ -111,13 +111,8 @@ def test_proposals_stay_within_whatever_limits(model, mode, highest, travel, ste
 
 
 def test_a_limit_between_two_samples_is_kept(model):
-    found = design(model, LIFTING, limits=ExcitationLimits(longest_s=1.006))
-    assert max(command_of(model, LIFTING, each).size - 1 for each in found.proposals) * STEP_S <= 1.006
-
-
-def test_a_test_in_which_nothing_happens_is_not_proposed(model):
-    with pytest.raises(InputError):
-        design(model, LIFTING, limits=ExcitationLimits(longest_s=0.03))
+    proposals = design(model, LIFTING, limits=ExcitationLimits(longest_s=1.006)).proposals
+    assert max(command_of(model, LIFTING, proposal).size - 1 for proposal in proposals) * STEP_S <= 1.006
 
 
 def test_without_limits_tests_are_as_long_and_as_high_and_go_as_far_as_those_there_were(model, advice):
@@ -175,18 +170,15 @@ def test_the_same_seed_gives_the_same_advice_and_another_seed_another(model, adv
     assert design(model, seed=1).proposals != advice.proposals
 
 
-def test_ramps_are_advised_where_the_dead_zone_is_what_is_not_known():
+def test_ramps_are_advised_where_the_dead_zone_is_what_is_not_known(model):
     rough = hitch_of(LIFTING, dead_zone=DeadZoneError(0.05, 3))
     # 0.05 A of some 0.3 A are a sixth of the gain, which eight tests with errors of 0.1 mm tell to 1 %.
     assert design(rough, parameter="gain").ramps
-
-
-def test_no_ramps_are_advised_where_the_dead_zone_is_given(model):
     assert not any(design(model, LIFTING, parameter=name).ramps for name in ("gain", "time_constant"))
 
 
 @pytest.mark.parametrize(
-    ("asked", "complaint"),
+    ("arguments", "complaint"),
     [
         ({"parameter": "damping"}, "expected a parameter with a standard error \\(.*gain.*\\), got damping"),
         ({"direction": "sideways"}, r"expected .*lifting gain.*lowering time_constant\), got sideways"),
@@ -204,23 +196,22 @@ def test_no_ramps_are_advised_where_the_dead_zone_is_given(model):
             f"lifting: none of {CANDIDATES} candidate tests is within the limits; use wider limits",
         ),
         (
-            {"direction": LIFTING, "limits": ExcitationLimits(longest_s=0.0)},
+            {"direction": LIFTING, "limits": ExcitationLimits(longest_s=0.03)},  # nothing happens in it
             f"none of {CANDIDATES} candidate tests is within",
         ),
     ],
 )
-def test_what_cannot_be_designed_is_refused(model, asked, complaint):
+def test_what_cannot_be_designed_is_refused(model, arguments, complaint):
     with pytest.raises(InputError, match=complaint):
-        design(model, **asked)
+        design(model, **arguments)
 
 
 def test_a_model_that_knows_nothing_of_its_tests_is_refused(model):
-    known = {mode: Uncertainty(each.benchmark) for mode, each in model.uncertainty.items()}
-    for each in (made_up(), Hitch(model.channels, STEP_S, UNITS, uncertainty=known)):
-        with pytest.raises(
-            InputError, match="expected a parameter with a standard error \\(nothing\\), got anything"
-        ):
-            design(each)
+    known = {mode: Uncertainty(uncertainty.benchmark) for mode, uncertainty in model.uncertainty.items()}
+    said = r"expected a parameter with a standard error \(nothing\), got anything"
+    for ignorant in (made_up(), Hitch(model.channels, STEP_S, UNITS, uncertainty=known)):
+        with pytest.raises(InputError, match=said):
+            design(ignorant)
 
 
 def test_the_dead_zone_is_added_where_the_command_is_open_and_rest_stays_rest(model):
@@ -230,6 +221,11 @@ def test_the_dead_zone_is_added_where_the_command_is_open_and_rest_stays_rest(mo
     assert set(command[5:]) == {0.1 + ZONE, 0.5 + ZONE}
     # Levels are held for whole clocks.
     assert set(np.flatnonzero(np.diff(command[5:])) % 20) == {19}
+
+
+def read_back(path):
+    header, *rows = path.read_text().split()
+    return dict(zip(header.split(","), np.array([row.split(",") for row in rows], float).T, strict=True))
 
 
 def test_a_written_command_reads_back_as_the_best_proposals(model, advice, tmp_path):
@@ -242,11 +238,6 @@ def test_a_written_command_reads_back_as_the_best_proposals(model, advice, tmp_p
     np.testing.assert_allclose(columns[driven], command, rtol=1e-12)
     np.testing.assert_allclose(columns["time_s"], STEP_S * np.arange(command.size), rtol=1e-12)
     assert not columns[still].any()
-
-
-def read_back(path):
-    header, *rows = path.read_text().split()
-    return dict(zip(header.split(","), np.array([row.split(",") for row in rows], float).T, strict=True))
 
 
 def test_a_command_that_is_there_is_replaced_by_force_alone(model, advice, tmp_path):
@@ -262,8 +253,5 @@ def test_a_command_that_is_there_is_replaced_by_force_alone(model, advice, tmp_p
 def test_columns_of_other_units_are_named_after_them(model, advice, tmp_path):
     units = {**UNITS, "lifting_command": "percent", "lowering_command": "percent"}
     write_command(Hitch(model.channels, STEP_S, units), advice, tmp_path / "test.csv")
-    assert list(read_back(tmp_path / "test.csv")) == [
-        "time_s",
-        "lifting_command_percent",
-        "lowering_command_percent",
-    ]
+    columns = ["time_s", "lifting_command_percent", "lowering_command_percent"]
+    assert list(read_back(tmp_path / "test.csv")) == columns

@@ -34,8 +34,8 @@ def run(targets, speeds=0.0, start: float = 0.0) -> Reference:
     arrays(np.float64, 200, elements=st.floats(-30, 30)),
     st.integers(1, 100),
 )
-def test_it_moves_at_its_speed_and_accelerates_as_the_hitch_can(levels, speeds, each: int) -> None:
-    found = run(np.repeat(levels, each)[:200], speeds)
+def test_it_moves_at_its_speed_and_accelerates_as_the_hitch_can(levels, speeds, held: int) -> None:
+    found = run(np.repeat(levels, held)[:200], speeds)
     np.testing.assert_allclose(np.diff(found.position), STEP_S * found.speed[1:], rtol=0, atol=1e-9)
     before = np.concatenate([[0.0], found.speed[:-1]])
     upward = np.where(found.speed == 0, before, found.speed) > 0
@@ -47,19 +47,14 @@ def test_it_moves_at_its_speed_and_accelerates_as_the_hitch_can(levels, speeds, 
 @given(st.floats(-50, 50), st.floats(0, 200))
 def test_a_standing_target_is_reached_for_good_and_not_passed(distance: float, start: float) -> None:
     target = start + distance
-    position = run(np.full(800, target), start=start).position
+    reference = run(np.full(800, target), start=start)
+    position = reference.position
     beyond = np.sign(distance) * (position - target)
     assert beyond.max() <= 180.0 * STEP_S**2 / 8  # the bound of the docstring
     np.testing.assert_allclose(position[-200:], target, rtol=0, atol=1e-12)
     assert np.ptp(position[-200:]) <= 1e-12
-
-
-@pytest.mark.parametrize("target", [20.0, -20.0, 0.37])
-def test_a_reference_at_its_target_stands(target: float) -> None:
-    found = run(np.full(400, target))
-    assert found.position[-1] == target
-    assert np.all(found.speed[-50:] == 0)
-    assert np.all(found.acceleration[-50:] == 0)
+    assert not np.any(reference.speed[-50:])
+    assert not np.any(reference.acceleration[-50:])
 
 
 @pytest.mark.parametrize("distance", [60.0, 20.0, 5.0, 0.5, -60.0, -20.0, -5.0, -0.5])

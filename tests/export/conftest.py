@@ -3,6 +3,7 @@
 import pytest
 from export_models import MODELS
 
+from hitchid.export import to_c
 from hitchid.export.verification import find_compiler
 from hitchid.model import Hitch
 
@@ -33,3 +34,11 @@ def model(request) -> Hitch:
 def everything() -> Hitch:
     """Return the model with all parts."""
     return MODELS["everything"]
+
+
+@pytest.fixture(scope="session")
+def exported(everything, compiler, tmp_path_factory):
+    """Return the folder of the model with all parts as C."""
+    folder = tmp_path_factory.mktemp("export") / "with ü and spaces"
+    to_c(everything, folder)
+    return folder

@@ -10,34 +10,39 @@ import pytest
 
 import handmade
 from hitchid.errors import InputError, OutputError
-from hitchid.export import ParityError, c99, to_c, verification
+from hitchid.export import ParityError, c99, fmu, to_c, to_fmu, to_onnx, verification
 from hitchid.export.c_templates import number
 from hitchid.export.constants import constants_of
 from hitchid.structures import LinearStructure, Parameter, PhysicalModel
 
 
+def to_fmu_of_this_machine(model, path) -> None:
+    to_fmu(model, path, version="fmi3", platforms=[fmu._this_platform()])
+
+
 @pytest.mark.long
-def test_two_exports_are_the_same_bytes(everything, compiler, tmp_path) -> None:
-    folders = [tmp_path / "a", tmp_path / "b and ü"]
-    for folder in folders:
-        to_c(everything, folder)
-    first, second = ({path.name: path.read_bytes() for path in folder.iterdir()} for folder in folders)
-    assert first == second
-    assert set(first) == {
-        ".hitchid.json",
-        "README.md",
-        "hitch.c",
-        "hitch.h",
-        "hitch.py",
-        "hitch_selftest.c",
-        "manifest.json",
-    }
-    manifest = json.loads(first["manifest.json"])
+@pytest.mark.parametrize("target", [to_c, to_onnx, to_fmu_of_this_machine])
+def test_two_exports_are_the_same_bytes(everything, compiler, tmp_path, target) -> None:
+    if target is to_onnx:
+        pytest.importorskip("onnx")
+    contents = []
+    for place in (tmp_path / "a", tmp_path / "b and ü"):
+        target(everything, place)
+        files = sorted(place.iterdir()) if place.is_dir() else [place]
+        contents.append([path.read_bytes() for path in files])
+    assert contents[0] == contents[1]
+
+
+def test_an_export_holds_sources_and_states_its_proof(exported) -> None:
+    files = {path.name: path.read_bytes() for path in exported.iterdir() if path.suffix != ".so"}
+    sources = {"hitch.c", "hitch.h", "hitch_selftest.c"}
+    assert set(files) == {".hitchid.json", "README.md", "hitch.py", "manifest.json", *sources}
+    manifest = json.loads(files["manifest.json"])
     assert manifest["parity"]["samples"] == 2 * c99.SAMPLES
     assert manifest["memory_bytes"]["state"] < 4096
-    for name in ("hitch.c", "hitch.h", "hitch_selftest.c"):
-        assert first[name].isascii()
-        assert b"nan" not in first[name].lower().replace(b"nan: ", b"").replace(b"for nan", b"")
+    for name in sources:
+        assert files[name].isascii()
+        assert b"nan" not in files[name].lower().replace(b"nan: ", b"").replace(b"for nan", b"")
 
 
 @pytest.mark.parametrize("name", ["", "9lives", "a-b", "int", "_hidden", "ä", "a" * 25, "x y", "class"])
