@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import Force, Rig, Seed, rig_files
+from hitchid.cli.program import Force, Rig, Seed, check_output, rig_files
 
 
 class Protocol(Enum):
@@ -79,11 +79,9 @@ def bench(
     With operating conditions all tests are run in every combination of them, and the logs have cylinder
     pressure, oil temperature and consumer flow, too.
     """
-    from hitchid._support.files import check_folder, check_inputs
     from hitchid.cli import terminal as display
 
-    check_folder(out, result_kind="campaign.toml", force=force)
-    check_inputs(out, rig_files(rig))
+    check_output(out, rig_files(rig), kind="campaign.toml", force=force)
     prepare_jax()
     from hitchid.bench.virtual_campaign import REPEATS, TESTS, Conditions, write_campaign
     from hitchid.logs.record import DIRECTIONS

@@ -16,6 +16,7 @@ from hitchid.cli.program import (
     Quiet,
     Signals,
     Strict,
+    check_output,
     command_line,
     report_formats,
 )
@@ -42,11 +43,9 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Compare models with each other on tests that none of them has used."""
-    from hitchid._support.files import check_folder, check_inputs
     from hitchid.cli import terminal as display
 
-    check_folder(out, result_kind="comparison.json", force=force)
-    check_inputs(out, [*paths, signals])
+    check_output(out, [*paths, signals], kind="comparison.json", force=force)
     prepare_jax()
     from hitchid._support.progress import ProgressUpdate
     from hitchid.model import load

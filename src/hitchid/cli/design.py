@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import AsJson, Force, ModelFolder
+from hitchid.cli.program import AsJson, Force, ModelFolder, check_output
 
 
 class OneDirection(Enum):
@@ -71,12 +71,10 @@ def design(
 
     For a controller, it is that of the parameter on which its stability margins depend most.
     """
-    from hitchid._support.files import check_file, check_inputs
     from hitchid.cli import terminal as display
 
     if out is not None:
-        check_file(out, force=force)
-        check_inputs(out, [model])
+        check_output(out, [model], force=force)
     prepare_jax()
     from hitchid.control import limitation
     from hitchid.control.next_test import ExcitationLimits, write_command

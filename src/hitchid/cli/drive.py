@@ -16,6 +16,7 @@ from hitchid.cli.program import (
     Quiet,
     ReportFolder,
     Rig,
+    check_output,
     command_line,
     loads_of,
     rig_files,
@@ -66,11 +67,10 @@ def drive(
     as_json: AsJson = False,
 ) -> None:
     """Drive a controller through steps, ramps, ploughing, changes of load and oil on the virtual bench."""
-    from hitchid._support.files import canonical_json, check_folder, check_inputs
+    from hitchid._support.files import canonical_json
     from hitchid.cli import terminal as display
 
-    check_folder(out, result_kind="metrics.json", force=force)
-    check_inputs(out, [controller, accept, *rig_files(rig)])
+    check_output(out, [controller, accept, *rig_files(rig)], kind="metrics.json", force=force)
     prepare_jax()
     from hitchid._support.progress import ProgressUpdate
     from hitchid.control import load_controller

@@ -15,6 +15,7 @@ from hitchid.cli.program import (
     Force,
     OptionalSeed,
     Quiet,
+    check_output,
     command_line,
     report_formats,
     settings_of,
@@ -56,11 +57,10 @@ def report(
     as_xlsx: AsXlsx = False,
 ) -> None:
     """Compare the machines of a fleet: which stand out, which cohorts differ, what changes with time."""
-    from hitchid._support.files import check_folder, check_inputs
     from hitchid.cli import terminal as display
 
-    check_folder(out, result_kind=MARK, force=force)
-    check_inputs(out, [Path(path) for path in (store, machines) if path is not None and "://" not in path])
+    local = [Path(path) for path in (store, machines) if path is not None and "://" not in path]
+    check_output(out, local, kind=MARK, force=force)
     if not 0 < level < 1:
         raise InputError(f"--level: got {level:g}, expected between 0 and 1")
     from hitchid._support.files import canonical_json

@@ -48,6 +48,7 @@ def hmi(
         raise InputError(f"the page needs {error.name}; install hitchid[hmi]") from error
     from hitchid.hmi.plans import read_limits
 
+    # A file that cannot be used is refused before the page is served.
     if limits is not None:
         read_limits(limits)
     settings = Settings(

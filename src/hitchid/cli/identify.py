@@ -19,6 +19,7 @@ from hitchid.cli.program import (
     Quiet,
     Signals,
     Strict,
+    check_output,
     settings_of,
     with_search_cache,
 )
@@ -61,6 +62,7 @@ def identify(
     The physics model is saved as soon as it is found; Ctrl-C keeps it, and --resume goes on.
     """
     unfinished = out.absolute().with_name(f"{out.absolute().name}.unfinished")
+    # A stopped run has left its physics model in `out`, which the same run may replace.
     force = force or (resume and unfinished.is_dir())
     _check_places(out, unfinished, [*logs, config, signals], resume=resume, force=force)
     prepare_jax()
@@ -128,7 +130,6 @@ def _check_places(
         OutputError: a model or a stopped run is in the way.
     """
     from hitchid._support.checkpoints import has_failed, is_empty, is_run, remove_run
-    from hitchid._support.files import check_folder, check_inputs
 
     # A stopped run has left its physics model in `out`: how to go on is said before that it exists.
     stopped = unfinished.exists() and not (unfinished.is_dir() and is_empty(unfinished))
@@ -136,8 +137,7 @@ def _check_places(
         raise OutputError(
             f"{unfinished}: holds a stopped run; use --resume to continue it, or --force to start again"
         )
-    check_folder(out, result_kind="model.json", force=force)
-    check_inputs(out, inputs)
+    check_output(out, inputs, kind="model.json", force=force)
     if stopped and not resume:
         if not is_run(unfinished):
             raise OutputError(f"{unfinished}: is not an unfinished run, so --force does not replace it")

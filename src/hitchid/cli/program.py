@@ -2,6 +2,7 @@
 
 import shlex
 import sys
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import hitchid
+from hitchid._support.files import check_file, check_folder, check_inputs
 from hitchid._support.inert import printable
 from hitchid._support.jax_setup import cache_folder
 from hitchid.errors import HitchError, InputError
@@ -84,6 +86,19 @@ def _number(value: str, text: str) -> float:
         return float(value)
     except ValueError:
         raise InputError(f"--load: expected a number or NAME=NUMBER, got {text}") from None
+
+
+def check_output(out: Path, inputs: Iterable[Path | None], *, kind: str | None = None, force: bool) -> None:
+    """Check before any work that a file may be written, or a folder that is known by its file `kind`.
+
+    Raises:
+        OutputError: another result or an input would be replaced, or it cannot be written.
+    """
+    if kind is None:
+        check_file(out, force=force)
+    else:
+        check_folder(out, result_kind=kind, force=force)
+    check_inputs(out, inputs)
 
 
 def rig_files(rig: str) -> list[Path]:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import AsJson, Force, Quiet, Rig, Seed, command_line, rig_files
+from hitchid.cli.program import AsJson, Force, Quiet, Rig, Seed, check_output, command_line, rig_files
 
 
 def reproduce(
@@ -20,11 +20,9 @@ def reproduce(
     as_json: AsJson = False,
 ) -> None:
     """Repeat the published study on the virtual bench: every table and figure, next to the paper's values."""
-    from hitchid._support.files import check_folder, check_inputs
     from hitchid.cli import terminal as display
 
-    check_folder(out, result_kind="study.md", force=force)
-    check_inputs(out, rig_files(rig))
+    check_output(out, rig_files(rig), kind="study.md", force=force)
     prepare_jax()
     from hitchid.bench.sun2025 import Plan, quick_plan
     from hitchid.bench.sun2025.reproduce import reproduce as run

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import Force, Loads, ModelFolder, Signals, loads_of
+from hitchid.cli.program import Force, Loads, ModelFolder, Signals, check_output, loads_of
 from hitchid.errors import InputError
 
 DEFAULT_COVERAGE = 90  # percent of the samples
@@ -38,11 +38,9 @@ def simulate(
     force: Force = False,
 ) -> None:
     """Write the predicted displacement beside a log's columns; with --initial commands alone are enough."""
-    from hitchid._support.files import check_file, check_inputs
     from hitchid.cli import terminal as display
 
-    check_file(out, force=force)
-    check_inputs(out, [model, log, signals])
+    check_output(out, [model, log, signals], force=force)
     if horizon != "free" and not (horizon.isdecimal() and int(horizon) > 0):
         raise InputError(f"--horizon: expected 'free' or a whole number of samples above 0, got '{horizon}'")
     if coverage is not None and not bands:

@@ -204,6 +204,7 @@ def _predictions(
         else:
             band = () if coverage is None else model.band(record, horizon=horizon, coverage=coverage)
             values = [model.predict(record, horizon=horizon), *band]
+        # Stamps of rows lie up to half a step beside the clock of the record.
         edge = record.step_s / 2
         inside = (time_s > record.time_s[0] - edge) & (time_s < record.time_s[-1] + edge)
         columns[:, inside] = [np.interp(time_s[inside], record.time_s, series) for series in values]
@@ -213,9 +214,7 @@ def _predictions(
 def added_name(column: str, kind: str) -> str:
     """Return the name of an added column: `displacement_predicted_mm`, else `<name>_predicted`.
 
-    Args:
-        column: column of the measured displacement.
-        kind: `predicted`, or `lower` or `upper` for the limits of the band.
+    Kinds are `predicted`, and `lower` and `upper` for the limits of the band.
     """
     stem, separator, unit = column.partition("displacement_")
     return f"displacement_{kind}_{unit}" if separator and not stem else f"{column}_{kind}"

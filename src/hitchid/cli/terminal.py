@@ -61,7 +61,10 @@ def show_inspection(inspection: "Inspection") -> None:
         for finding in inspection.findings:
             logs = f"{len(finding.records)} logs" if finding.records else "the campaign"
             signal = [finding.signal.replace("_", " ")] if finding.signal else []
-            location = "\n".join([finding.record or logs, *signal, *_time_spans(finding)])
+            spans = [f"{start:.6g} … {stop:.6g} s" for start, stop in finding.spans if finding.record]
+            if len(spans) > MAX_SPANS:
+                spans[MAX_SPANS:] = [f"and {len(spans) - MAX_SPANS} more"]
+            location = "\n".join([finding.record or logs, *signal, *spans])
             severity = f"{finding.severity.value}:\n{finding.check}"
             table.add_row(severity, location, f"{finding.what}\n→ {finding.advice}")
             table.add_section()
@@ -160,14 +163,6 @@ def show_audit(findings: Iterable["AuditFinding"], *, quiet: bool = False) -> No
             where = f"{finding.record}: " if finding.record else ""
             message = f"{where}{finding.check}: {finding.what}; {finding.advice}"
             write_messages(finding.severity.value, [message])
-
-
-def _time_spans(finding: "AuditFinding") -> list[str]:
-    if not finding.record:
-        return []
-    more = len(finding.spans) - MAX_SPANS
-    spans = [f"{start:.6g} … {stop:.6g} s" for start, stop in finding.spans[:MAX_SPANS]]
-    return [*spans, f"and {more} more"] if more > 0 else spans
 
 
 def show_identification(identification: "Identification", out: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import AsJson, Force, Loads, ModelFolder, Quiet, command_line, loads_of
+from hitchid.cli.program import AsJson, Force, Loads, ModelFolder, Quiet, check_output, command_line, loads_of
 
 
 def tune(
@@ -28,14 +28,11 @@ def tune(
     as_json: AsJson = False,
 ) -> None:
     """Tune a position controller: the fastest that keeps its margins over draws of the parameters."""
-    from hitchid._support.files import check_file, check_folder, check_inputs
     from hitchid.cli import terminal as display
 
-    check_file(out, force=force)
-    check_inputs(out, [model])
+    check_output(out, [model], force=force)
     if report_folder is not None:
-        check_folder(report_folder, result_kind=out.name, force=force)
-        check_inputs(report_folder, [model])
+        check_output(report_folder, [model], kind=out.name, force=force)
     prepare_jax()
     from hitchid.control import load_controller, save_controller
     from hitchid.control import tune as run

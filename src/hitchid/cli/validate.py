@@ -19,6 +19,7 @@ from hitchid.cli.program import (
     ReportFolder,
     Signals,
     Strict,
+    check_output,
     command_line,
     report_formats,
 )
@@ -43,17 +44,15 @@ def validate(
     as_json: AsJson = False,
 ) -> None:
     """Validate a model on tests that were not used for identification."""
-    from hitchid._support.files import check_file, check_folder, check_inputs, write_bytes
+    from hitchid._support.files import write_bytes
     from hitchid.cli import terminal as display
 
     inputs = [model, *logs, accept, signals]
-    check_folder(out, result_kind="metrics.json", force=force)
-    check_inputs(out, inputs)
+    check_output(out, inputs, kind="metrics.json", force=force)
     if junit is not None:
         if accept is None:
             raise InputError("--junit needs --accept")
-        check_file(junit, force=force)
-        check_inputs(junit, inputs)
+        check_output(junit, inputs, force=force)
     prepare_jax()
     from hitchid._support.progress import ProgressUpdate
     from hitchid.model import load, load_trace

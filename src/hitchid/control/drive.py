@@ -117,9 +117,11 @@ def _settling_s(scenario: Scenario, errors: Float[np.ndarray, "t n"]) -> float |
     """Return the time after which no displacement is outside the tolerance; infinite at the end of a run."""
     if not scenario.amplitude:
         return None
+    # Not "larger than": an error that is no number is outside.
     outside = ~(np.abs(errors) <= scenario.tolerance)
     last = errors.shape[1] - np.argmax(outside[:, ::-1], axis=1)
     settled = np.where(outside.any(axis=1), np.where(outside[:, -1], np.inf, last), 0)
+    # The quantile is a time of the loops: between one of them and ∞ there is nothing to interpolate.
     ordered = np.sort(SAMPLE_S * settled)
     return float(ordered[int(np.ceil(SHARE * ordered.size)) - 1])
 

@@ -80,6 +80,7 @@ def controller_files(
     if compiler is None:
         return files, None
     run = controller_run(content.controller, model)
+    # Rounding of single precision hides small mistakes; the same code in double precision shows them.
     if precision == "single":
         _proved(content, name, "double", compiler, run)
     return files, _proved(content, name, precision, compiler, run)
