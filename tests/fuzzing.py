@@ -289,10 +289,10 @@ def _containers(place: Path) -> Iterator[Seed]:
 def _buses(place: Path) -> Iterator[Seed]:
     database = write_dbc(place / "bus.dbc", *DBC).read_bytes()
     grouped = database.replace(b"BO_ 256 ", b"BO_ 2566849278 ")
-    found = columns()
+    log = columns()
     frames = []
-    for number, stamp_s in enumerate(found["time_s"]):
-        up, moved = round(1000 * found["current_up_A"][number]), 100 * found["displacement_mm"][number]
+    for number, stamp_s in enumerate(log["time_s"]):
+        up, moved = round(1000 * log["current_up_A"][number]), 100 * log["displacement_mm"][number]
         frames += [
             frame(stamp_s, 0x100, struct.pack("<HHI", up, 0, 0)),
             frame(stamp_s, 0x101, struct.pack(">hHI", round(moved), 0, 0)),
@@ -668,8 +668,8 @@ def read_checkpoint(folder: Path, _: ReaderProcess) -> object:
     def work() -> dict[str, np.ndarray]:
         raise Redone
 
-    found = Checkpoints(folder).cached_arrays("piece", work)
-    return {name: (values.dtype.str, values.tobytes()) for name, values in found.items()}
+    arrays = Checkpoints(folder).cached_arrays("piece", work)
+    return {name: (values.dtype.str, values.tobytes()) for name, values in arrays.items()}
 
 
 # --- changes ----------------------------------------------------------------------------------------------
@@ -742,10 +742,10 @@ def _enlarge(rng: np.random.Generator, data: bytes) -> bytes:
 
 def _worded(rng: np.random.Generator, data: bytes) -> bytes:
     text = data.decode("latin-1")
-    found = list(WORD.finditer(text))
-    if not found:
+    words = list(WORD.finditer(text))
+    if not words:
         return data
-    match = found[int(rng.integers(0, len(found)))]
+    match = words[int(rng.integers(0, len(words)))]
     word = WORDS[int(rng.integers(0, len(WORDS)))]
     return (text[: match.start()] + word + text[match.end() :]).encode(
         "utf-8" if "\ufeff" in word else "latin-1", "replace"

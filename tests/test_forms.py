@@ -34,7 +34,7 @@ def test_a_record_gives_its_signals_by_name(log):
         iter(record)
 
 
-def test_a_campaign_is_read_from_tables_and_records_as_from_files(log):
+def test_tables_and_records_are_read_as_files_are(log):
     campaign = hitchid.read(log)
     (record,) = campaign
     frame = record.to_dataframe()
@@ -44,7 +44,7 @@ def test_a_campaign_is_read_from_tables_and_records_as_from_files(log):
         assert (read.kind, read.step_s) == (record.kind, record.step_s)
 
 
-def test_a_log_is_simulated_and_predicted_from_its_path_and_its_table(log):
+def test_a_log_is_simulated_from_its_path_and_its_table(log):
     (record,) = hitchid.read(log)
     run = MODEL.simulate(record)
     for given in (record.to_dataframe(), log, str(log)):

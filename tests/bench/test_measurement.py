@@ -45,7 +45,7 @@ def test_errors_stay_within_three_thousandths_of_full_scale(any_rig, at_rest):
         assert away[currents[:, 5:, row] > 0.03].max() < FULL_SCALE * 3
 
 
-def test_noise_is_white_unbiased_small_and_of_the_key_while_the_curve_is_the_rigs(any_rig, at_rest):
+def test_noise_is_white_small_and_of_the_key_alone(any_rig, at_rest):
     currents, motion = at_rest
     first, again, second = (
         measure(any_rig, motion, currents, jax.random.key(seed))["displacement_mm"] for seed in (2, 2, 3)

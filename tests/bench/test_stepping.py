@@ -58,7 +58,7 @@ def currents(binary):
     return rows
 
 
-def test_a_run_by_single_steps_is_that_of_the_whole_test(any_rig, currents):
+def test_single_steps_give_the_run_of_the_whole_test(any_rig, currents):
     """Both evaluate the same sums; rounding grows by the stiffness of the stops and of the oil."""
     rig = noiseless(any_rig)
     force = np.linspace(0.0, 800.0, len(currents))
@@ -70,8 +70,8 @@ def test_a_run_by_single_steps_is_that_of_the_whole_test(any_rig, currents):
     )
     # One step of the converter may fall to either side.
     step_mm = 1e3 * 0.25 * float(rig.sensors.angle_range) / 2 ** float(rig.sensors.converter_bits)
-    found = np.asarray(measured.displacement_mm)[:-1]
-    np.testing.assert_allclose(found, whole["displacement_mm"][0], rtol=0, atol=4 * step_mm)
+    stepped_mm = np.asarray(measured.displacement_mm)[:-1]
+    np.testing.assert_allclose(stepped_mm, whole["displacement_mm"][0], rtol=0, atol=4 * step_mm)
     np.testing.assert_allclose(measured.time_s[:-1], whole["time_s"][0], rtol=0, atol=1e-12)
     # The log's currents are those at the end of their own 10 ms.
     logged = np.stack([whole["current_up_A"][0], whole["current_down_A"][0]], axis=-1)
@@ -134,8 +134,8 @@ def test_a_sensor_that_sticks_jumps_or_drops_out(rig, currents):
 @pytest.mark.parametrize("current", [np.nan, np.inf, -1.0])
 def test_a_current_that_is_no_number_or_negative_is_none(rig, current):
     still = run(rig, np.zeros((100, 2)))[0].plant.displacement
-    found = run(rig, np.full((100, 2), current))[0].plant.displacement
-    np.testing.assert_array_equal(found, still)
+    driven = run(rig, np.full((100, 2), current))[0].plant.displacement
+    np.testing.assert_array_equal(driven, still)
 
 
 def test_what_the_bench_cannot_do_is_refused(rig):

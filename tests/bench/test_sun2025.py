@@ -64,19 +64,19 @@ def test_a_small_study_writes_every_table_and_figure(tmp_path):
 
 
 @pytest.mark.parametrize("mode", DIRECTIONS)
-def test_the_mechanistic_gain_leads_to_the_speed_of_the_mean_test(mode):
+def test_the_mechanistic_gain_gives_the_speed_of_a_test(mode):
     """At u₀ = v₀/K beyond the dead zone the bench passes the middle of the way at v₀.
 
     The speed is taken over ±5 mm, in which the load's pressure and the root of it, the speed, change by
     k/(2 W) · 5 mm < 1 %; hence the tolerance.
     """
     rig = load_rig("nominal")
-    known = mechanistic(rig, mode)
+    model = mechanistic(rig, mode)
     stroke_mm = 1e3 * float(rig.cylinder.stroke)
     speed = np.mean(LOW + HIGH) * STROKE_FRACTION * stroke_mm / DYNAMIC_S
-    gain = known.physical_model.named_values()["gain"]
+    gain = model.physical_model.named_values()["gain"]
     currents = np.zeros((1, 1001, 2))
-    currents[:, 20:, DIRECTIONS.index(mode)] = known.dead_zone + speed / gain
+    currents[:, 20:, DIRECTIONS.index(mode)] = model.dead_zone + speed / gain
     start = 0.0 if mode == LIFTING else float(rig.cylinder.stroke)
     motion = simulate(rig, currents, initial_displacement_m=start)
     travel = 1e3 * np.abs(np.asarray(motion.displacement_m)[0] - start)

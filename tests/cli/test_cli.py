@@ -110,7 +110,7 @@ def test_help_imports_neither_jax_nor_numpy(arguments):
     "arguments",
     [[], ["nonsense"], ["inspect"], ["identify", "logs"], ["simulate", "--foo"], ["inspect", "--json"]],
 )
-def test_wrong_use_is_answered_with_the_usage_and_exit_code_2(arguments):
+def test_wrong_use_is_answered_with_the_usage(arguments):
     result = hitchid(*arguments)
     assert result.code == 2
     assert "Usage: hitchid" in result.err
@@ -159,7 +159,7 @@ BAD_LOGS = {
 
 
 @pytest.mark.parametrize(("edit", "said"), BAD_LOGS.values(), ids=BAD_LOGS)
-def test_a_bad_log_is_refused_by_every_command_that_needs_it(refused, logs, model, tmp_path, edit, said):
+def test_a_bad_log_is_refused_by_every_command(refused, logs, model, tmp_path, edit, said):
     log = logs / "lifting-02.csv"
     text = "\n".join([*edit(log.read_text().splitlines()), ""])
     log.write_bytes(text.encode("utf-8", errors="surrogateescape"))
@@ -173,7 +173,7 @@ def test_a_bad_log_is_refused_by_every_command_that_needs_it(refused, logs, mode
     assert "lowering-03" in shown.out  # the other logs
 
 
-def test_samples_without_a_number_are_named_and_no_other_is_lost(logs, model, tmp_path):
+def test_samples_without_a_number_are_named_and_alone_lost(logs, model, tmp_path):
     path, out = logs / "lifting-02.csv", tmp_path / "out.csv"
 
     def predicted():
@@ -340,7 +340,7 @@ def test_a_model_that_is_not_whole_is_refused(refused, bench_folder, model, tmp_
     refused("validate", folder, log.parent, "--out", tmp_path / "out", said=said)
 
 
-def test_a_lowering_log_is_refused_by_a_model_that_only_lifts(refused, bench_folder, tmp_path):
+def test_a_model_that_only_lifts_refuses_lowering(refused, bench_folder, tmp_path):
     save(handmade.hitch("integrator", modes=("lifting",)), tmp_path / "model")
     log = bench_folder / "lowering-01.csv"
     refused("simulate", tmp_path / "model", log, "--out", tmp_path / "out.csv", said=["lowering"])
@@ -475,7 +475,7 @@ def test_simulate_writes_what_the_model_predicts(bench_folder, tmp_path, horizon
     assert again.code == 0
 
 
-def test_simulate_says_on_stderr_where_it_leaves_what_the_tests_covered(bench_folder, tmp_path):
+def test_simulate_says_where_it_leaves_the_identified_range(bench_folder, tmp_path):
     (record,) = read(bench_folder / "lifting-02.csv").records
     effective = np.maximum(record.command("lifting") - handmade.DEAD_ZONES["lifting"], 0)
     covered = handmade.envelope(command=(0.0, 0.05), displacement=(-50.0, 500.0))
@@ -587,7 +587,7 @@ def test_validate_writes_a_report_with_its_figures(validated):
         assert f'id="figure-{path.stem}"' in page
 
 
-def test_each_table_and_the_data_of_each_figure_are_csv_files(validated, metrics):
+def test_tables_and_the_data_of_figures_are_csv(validated, metrics):
     out = validated[2]
     figures = {path.stem for path in (out / "figures").glob("*.svg")}
     assert {path.stem for path in (out / "figures").glob("*.csv")} == figures
@@ -598,7 +598,7 @@ def test_each_table_and_the_data_of_each_figure_are_csv_files(validated, metrics
     assert float(rmse["greybox", "free_run"]) == lifting["greybox"]["free_run"]["rmse"]
 
 
-def test_other_forms_of_the_report_are_written_where_they_are_asked_for(bench_folder, model, tmp_path):
+def test_other_forms_of_the_report_are_written_on_request(bench_folder, model, tmp_path):
     pytest.importorskip("xlsxwriter")
     pytest.importorskip("typst")
     out, forms = tmp_path / "out", ("--xlsx", "--interactive", "--pdf")
@@ -744,7 +744,7 @@ def shape(runs):
 
 
 @pytest.mark.long
-def test_a_log_whose_name_is_no_unicode_is_validated_or_refused(bench_folder, model, tmp_path):
+def test_a_name_without_unicode_is_validated_or_refused(bench_folder, model, tmp_path):
     folder = shutil.copytree(bench_folder, tmp_path / "logs")
     (folder / "lifting-03.csv").rename(folder / "lifting-\udcff.csv")
     result = hitchid("validate", model, folder, "--out", tmp_path / "out", "--json")
@@ -774,7 +774,7 @@ def test_identify_writes_a_model_and_prints_what_it_found(bench_folder, tmp_path
     assert "was used for identification" in used_all.err
 
 
-def test_a_run_that_fails_has_exit_code_1_and_leaves_nothing(bench_folder, tmp_path, monkeypatch):
+def test_a_failed_run_exits_with_1_and_leaves_nothing(bench_folder, tmp_path, monkeypatch):
     def fails(*_):
         raise FitError("the piston does not move")
 
@@ -787,7 +787,7 @@ def test_a_run_that_fails_has_exit_code_1_and_leaves_nothing(bench_folder, tmp_p
     assert not out.exists()
 
 
-def test_rivals_that_are_there_or_of_other_logs_are_not_trained(refused, model, bench_folder, tmp_path):
+def test_rivals_there_are_or_of_other_logs_are_refused(refused, model, bench_folder, tmp_path):
     trained = handmade.hitch("integrator", compensated=True, baselines=True)
     rivals = {name: replace(each, trained=True) for name, each in trained.rivals.items()}
     save(replace(trained, rivals=rivals), tmp_path / "model")

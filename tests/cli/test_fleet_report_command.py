@@ -66,7 +66,7 @@ def test_parquet_has_the_content_of_the_csv_file(written):
     assert parquet.read_table(tables / "cohorts.parquet").num_rows == 0
 
 
-def test_an_older_report_is_replaced_by_force_only_and_json_is_that_of_the_file(store, written):
+def test_an_older_report_is_replaced_by_force_only(store, written):
     out = written[0]
     code, message = run(store, "--out", out)
     assert code == 2
@@ -84,7 +84,7 @@ def test_machines_of_a_table_are_compared_by_its_columns(store, tmp_path):
     assert {each["column"] for each in json.loads(printed)["cohorts"]} == {"type"}
 
 
-def test_a_store_without_rows_a_table_without_machines_and_a_wrong_rate_are_refused(store, tmp_path):
+def test_an_empty_store_and_wrong_options_are_refused(store, tmp_path):
     (tmp_path / "empty").mkdir()
     out = tmp_path / "report"
     assert "has no results of a fleet" in run(tmp_path / "empty", "--out", out)[1]

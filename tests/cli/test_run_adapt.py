@@ -25,9 +25,9 @@ EARLIER = Changes(0.05, 0.01, 0.0)
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Return the folder of a model as identified."""
-    found = tmp_path_factory.mktemp("adapted") / "model"
-    save(machine.MODEL, found)
-    return found
+    path = tmp_path_factory.mktemp("adapted") / "model"
+    save(machine.MODEL, path)
+    return path
 
 
 def lines(strokes):
@@ -79,7 +79,7 @@ def test_it_learns_writes_what_and_saves_the_model(folder, tmp_path):
 @pytest.mark.long
 @pytest.mark.skipif(os.name == "nt", reason="signals are others there")
 @pytest.mark.parametrize("reads", [True, False])
-def test_ctrl_c_is_the_end_of_the_input_also_where_it_ends_the_reader(folder, tmp_path, reads):
+def test_ctrl_c_ends_the_input_with_or_without_reader(folder, tmp_path, reads):
     command = [sys.executable, "-m", "hitchid", "run", folder, "--adapt", "--save", tmp_path / "saved"]
     pipe = subprocess.PIPE
     with subprocess.Popen(  # noqa: S603 - this Python, the command under test
@@ -138,7 +138,7 @@ def test_what_is_for_adaptation_is_refused_without_it(folder, tmp_path, option):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_there_already_is_refused_and_left_as_it_is(folder, tmp_path):
+def test_what_is_there_already_is_left_alone(folder, tmp_path):
     (tmp_path / "saved").mkdir()
     file, notes = tmp_path / "saved" / "mine.txt", tmp_path / "notes.txt"
     file.write_text("mine")

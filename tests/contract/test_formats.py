@@ -123,7 +123,7 @@ WRITERS = {
 }
 ON_A_BUS = tuple(ending for ending, writer in WRITERS.items() if writer is write_bus)
 PLAIN_TEXT = {".csv", ".tsv", ".lvm", ".txt", ".dat", ".asc", ".trc", ".log"}
-ENDINGS = [suffix for known in BUILT_IN for suffix in known.suffixes]
+ENDINGS = [suffix for log_format in BUILT_IN for suffix in log_format.suffixes]
 every_ending = pytest.mark.parametrize("ending", ENDINGS)
 
 
@@ -163,9 +163,9 @@ def test_a_log_of_every_ending_is_made_here():
 
 @every_ending
 def test_what_was_written_comes_back_bit_for_bit(log, ending):
-    known, path, wanted = log(ending)
-    assert_whole(known.read(path, wanted), path)
-    everything = known.read(path, wanted._replace(signals=None))
+    log_format, path, wanted = log(ending)
+    assert_whole(log_format.read(path, wanted), path)
+    everything = log_format.read(path, wanted._replace(signals=None))
     assert {name.rpartition("/")[2] for name in everything.channels} >= set(NAMES[1:])
 
 
@@ -183,17 +183,17 @@ def test_a_format_that_is_written_is_written_bit_for_bit(tmp_path, ending):
 
 @every_ending
 def test_channels_come_once_each_and_no_others(log, ending):
-    known, path, wanted = log(ending)
-    content = known.read(path, wanted._replace(signals=("displacement_mm", "displacement_mm")))
+    log_format, path, wanted = log(ending)
+    content = log_format.read(path, wanted._replace(signals=("displacement_mm", "displacement_mm")))
     assert content.channels.keys() - {"time_s"} == {"displacement_mm"}
     assert content.channels["displacement_mm"].unit in (None, "mm")
 
 
 @every_ending
 def test_a_missing_channel_is_named_beside_those_there_are(log, ending):
-    known, path, wanted = log(ending)
+    log_format, path, wanted = log(ending)
     with pytest.raises(LogError) as caught:
-        known.read(path, wanted._replace(signals=("current_up_A", "pressure_bar")))
+        log_format.read(path, wanted._replace(signals=("current_up_A", "pressure_bar")))
     message = str(caught.value)
     assert message.startswith(f"{path}: ")
     assert "'pressure_bar'" in message
@@ -201,15 +201,15 @@ def test_a_missing_channel_is_named_beside_those_there_are(log, ending):
 
 
 @every_ending
-def test_a_log_cut_short_anywhere_is_refused_by_name_or_gives_what_it_holds(log, ending):
-    known, path, wanted = log(ending)
+def test_a_log_cut_short_is_refused_or_read_shorter(log, ending):
+    log_format, path, wanted = log(ending)
     whole = path.read_bytes()
     refused = 0
     sizes = np.linspace(0, len(whole) - 1, 20).astype(int)
     for size in sizes.tolist():
         path.write_bytes(whole[:size])
         try:
-            content = known.read(path, wanted)
+            content = log_format.read(path, wanted)
         except LogError as error:
             assert str(error).startswith(f"{path}: ")  # noqa: PT017
             refused += 1
@@ -241,22 +241,22 @@ NO_LOGS = {
 
 @every_ending
 @pytest.mark.parametrize("data", NO_LOGS.values(), ids=NO_LOGS)
-def test_what_is_no_log_of_the_format_is_refused_by_name_and_nothing_else_happens(log, ending, data):
-    known, path, wanted = log(ending)
+def test_what_is_no_log_is_refused_by_name(log, ending, data):
+    log_format, path, wanted = log(ending)
     path.write_bytes(data)
     with pytest.raises(LogError) as caught:
-        known.read(path, wanted)
+        log_format.read(path, wanted)
     assert str(caught.value).startswith(f"{path}: ")
 
 
 @every_ending
 def test_a_folder_or_a_missing_file_is_refused_by_name(log, tmp_path, ending):
-    known, _, wanted = log(ending)
+    log_format, _, wanted = log(ending)
     (tmp_path / f"folder{ending}").mkdir()
     for name in ("folder", "missing"):
         path = tmp_path / f"{name}{ending}"
         with pytest.raises(LogError, match="cannot be read") as caught:
-            known.read(path, wanted)
+            log_format.read(path, wanted)
         assert str(caught.value).startswith(f"{path}: ")
 
 
@@ -264,9 +264,9 @@ def test_a_folder_or_a_missing_file_is_refused_by_name(log, tmp_path, ending):
 @pytest.mark.parametrize("shouted", [False, True])
 def test_every_ending_reaches_its_format_whatever_its_case(log, tmp_path, ending, shouted):
     written = ending.upper() if shouted else ending
-    known, path, wanted = log(written, name="step 0.5 A [1]")
-    assert ending in known.suffixes
-    assert_whole(known.read(path, wanted), path)
+    log_format, path, wanted = log(written, name="step 0.5 A [1]")
+    assert ending in log_format.suffixes
+    assert_whole(log_format.read(path, wanted), path)
     assert find_logs(tmp_path) == [path]
     assert record_name(path) == "step 0.5 A [1]"
 
@@ -284,9 +284,7 @@ def test_every_ending_reaches_its_format_whatever_its_case(log, tmp_path, ending
         (".blf", "cantools", "cantools", "can"),
     ],
 )
-def test_a_missing_library_is_named_with_the_command_that_brings_it(
-    tmp_path, monkeypatch, ending, module, package, extra
-):
+def test_a_missing_library_is_named_with_its_command(tmp_path, monkeypatch, ending, module, package, extra):
     writer = write_mat73 if ending == ".mat" else WRITERS[ending]
     path = tmp_path / f"log{ending}"
     writer(path, TABLE)
@@ -299,11 +297,11 @@ def test_a_missing_library_is_named_with_the_command_that_brings_it(
     assert str(caught.value) == f"{path}: {required}"
 
 
-def test_every_library_of_others_is_loaded_before_the_time_of_reading_counts():
-    for known in BUILT_IN:
-        if known.suffixes[0] == ".csv":
-            assert known.libraries == ()
-        for library in known.libraries:
+def test_libraries_are_loaded_before_reading_time_counts():
+    for log_format in BUILT_IN:
+        if log_format.suffixes[0] == ".csv":
+            assert log_format.libraries == ()
+        for library in log_format.libraries:
             __import__(library)
 
 
@@ -359,7 +357,7 @@ def test_one_campaign_is_the_same_from_every_format(bench, tmp_path, ending, wri
             assert other.signals[role].tobytes() == samples.tobytes()
 
 
-def test_metrics_and_the_tests_of_a_model_are_the_same_in_another_format(bench, identified, tmp_path):
+def test_metrics_are_the_same_in_another_format(bench, identified, tmp_path):
     campaign, model = hitchid.read(bench), hitchid.load(identified / "model")
     again = in_another_format(campaign, tmp_path / "logs", ".parquet", write_table)
     assert_same(validate(model, again).metrics, validate(model, campaign).metrics)

@@ -38,7 +38,7 @@ def saved(install, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         install(patch, EXAMPLE)
         training = CompensatorConfig(hidden=2, window=10, adam=AdamConfig(epochs=1), free_run=None)
-        found = hitchid.identify(
+        identification = hitchid.identify(
             campaign(),
             structure={LIFTING: "integrator"},
             training=training,
@@ -46,7 +46,7 @@ def saved(install, tmp_path_factory):
             search=MultiStart(evaluations=20),
             dead_zones={LIFTING: 0.1},
         )
-        found.save(folder)
+        identification.save(folder)
     return folder
 
 
@@ -68,6 +68,6 @@ def test_it_is_fitted_saved_loaded_and_validated(saved, install, monkeypatch):
     assert NAME in result.markdown() or NAME.replace("_", " ") in result.markdown()
 
 
-def test_a_model_with_it_is_refused_where_the_package_is_missing(saved):
+def test_without_the_package_its_model_is_refused(saved):
     with pytest.raises(ModelFolderError, match=NAME):
         hitchid.load(saved)

@@ -49,7 +49,7 @@ def test_it_stands_beside_those_of_the_package(installed):
     assert list(registered_renderers()) == [*BUILT_IN, "csv"]
 
 
-def test_a_renderer_that_is_not_installed_is_refused_by_its_name(result):
+def test_a_renderer_not_installed_is_refused_by_name(result):
     with pytest.raises(InputError, match="got 'latex', expected one of html, interactive, pdf, markdown"):
         render(result.report(), "latex")
 

@@ -69,8 +69,8 @@ def test_it_simulates_as_its_transfer_function(installed):
     command = levels(np.random.default_rng(1), 200)
     model = PhysicalModel(structure_named(NAME), jnp.array([LEAK_TIME, LAG, GAIN]), jnp.asarray(0.0))
     expected = held(*FRACTION, command)
-    found = np.asarray(model.response(jnp.asarray(command)[None], STEP_S))[0]
-    np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
+    simulated = np.asarray(model.response(jnp.asarray(command)[None], STEP_S))[0]
+    np.testing.assert_allclose(simulated, expected, atol=1e-10 * np.abs(expected).max())
     assert float(model.gain) == GAIN
     np.testing.assert_allclose(model.with_gain(1.5).values, [LEAK_TIME, LAG, 1.5 * GAIN])
 

@@ -221,7 +221,7 @@ def test_what_a_person_wants_to_know_is_there():
 
 
 @pytest.mark.parametrize("kind", WHOLE, ids=lambda kind: kind.__name__)
-def test_a_notebook_shows_a_table_and_a_picture_without_a_script(kind):
+def test_a_notebook_shows_table_and_picture_without_a_script(kind):
     page = WHOLE[kind]()._repr_html_()
     assert page.count("<table>") == page.count("</table>") == 1
     assert "<svg" in page

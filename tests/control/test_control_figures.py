@@ -36,33 +36,33 @@ def arriving(own: Scenario, after: int, beyond: float = 0.0):
 @pytest.mark.parametrize("amplitude", [20.0, -20.0])
 def test_a_loop_on_its_target_has_no_error(amplitude: float) -> None:
     own = scenario(amplitude)
-    found = Figures.of(own, loops_of(own))
-    assert found == Figures(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, None, 0)
+    figures = Figures.of(own, loops_of(own))
+    assert figures == Figures(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, None, 0)
 
 
 @pytest.mark.parametrize("amplitude", [20.0, -20.0])
 def test_a_late_jump_settles_when_it_arrives(amplitude: float) -> None:
     own = scenario(amplitude)
-    found = Figures.of(own, loops_of(own, arriving(own, 150)))
-    assert found.settling_s == pytest.approx(1.5)
-    assert found.iae == pytest.approx(20.0 * 1.5)
-    assert found.rmse == pytest.approx(np.sqrt(400 * 150 / 400))
-    assert found.overshoot == 0
+    figures = Figures.of(own, loops_of(own, arriving(own, 150)))
+    assert figures.settling_s == pytest.approx(1.5)
+    assert figures.iae == pytest.approx(20.0 * 1.5)
+    assert figures.rmse == pytest.approx(np.sqrt(400 * 150 / 400))
+    assert figures.overshoot == 0
 
 
 @pytest.mark.parametrize("amplitude", [20.0, -20.0])
 def test_overshoot_is_what_lies_beyond_the_end_of_the_step(amplitude: float) -> None:
     own = scenario(amplitude)
-    found = Figures.of(own, loops_of(own, arriving(own, 150, np.sign(amplitude) * 3.0)))
-    assert found.overshoot == pytest.approx(3.0)
-    assert found.settling_s == pytest.approx(1.6)
+    figures = Figures.of(own, loops_of(own, arriving(own, 150, np.sign(amplitude) * 3.0)))
+    assert figures.overshoot == pytest.approx(3.0)
+    assert figures.settling_s == pytest.approx(1.6)
 
 
 @pytest.mark.parametrize(("amplitude", "settled"), [(5.0, 1.6), (20.0, 1.5)])
 def test_a_small_step_has_the_narrower_tolerance(amplitude: float, settled: float) -> None:
     own = scenario(amplitude)
-    found = Figures.of(own, loops_of(own, arriving(own, 150, 1.5)))
-    assert found.settling_s == pytest.approx(settled)
+    figures = Figures.of(own, loops_of(own, arriving(own, 150, 1.5)))
+    assert figures.settling_s == pytest.approx(settled)
 
 
 def test_a_loop_that_is_outside_at_the_end_never_settles() -> None:
@@ -75,28 +75,28 @@ def test_a_displacement_that_is_not_finite_diverged_and_never_settles() -> None:
     own = scenario()
     broken = own.target.copy()
     broken[-1] = np.nan
-    found = Figures.of(own, loops_of(own, broken, own.target))
-    assert found.diverged == 1
-    assert found.settling_s == np.inf
+    figures = Figures.of(own, loops_of(own, broken, own.target))
+    assert figures.diverged == 1
+    assert figures.settling_s == np.inf
 
 
-def test_final_error_is_the_mean_of_the_last_second_of_the_measurement() -> None:
+def test_final_error_is_the_mean_of_the_last_second() -> None:
     own = scenario()
     measured = own.target.copy()
     measured[:-100] += 7.0
     measured[-100:] += np.where(np.arange(100) % 2, 0.4, -0.2)
     measured[-1] = np.nan
-    found = Figures.of(own, loops_of(own, measured=[measured]))
-    assert found.final_error == pytest.approx(abs(0.4 * 49 - 0.2 * 50) / 99)
+    figures = Figures.of(own, loops_of(own, measured=[measured]))
+    assert figures.final_error == pytest.approx(abs(0.4 * 49 - 0.2 * 50) / 99)
 
 
-def test_the_figure_of_many_loops_is_the_worst_of_95_percent() -> None:
+def test_figures_of_many_loops_are_those_of_95_percent() -> None:
     own = scenario()
     rows = [own.target + error for error in np.linspace(0.0, 1.0, 101)]
-    found = Figures.of(own, loops_of(own, *rows))
-    assert found.rmse == pytest.approx(0.95)
-    assert found.final_error == pytest.approx(0.95)
-    assert found.iae == pytest.approx(0.5 * 4.0)
+    figures = Figures.of(own, loops_of(own, *rows))
+    assert figures.rmse == pytest.approx(0.95)
+    assert figures.final_error == pytest.approx(0.95)
+    assert figures.iae == pytest.approx(0.5 * 4.0)
 
 
 def test_settling_of_many_loops_is_that_of_95_percent() -> None:
@@ -105,14 +105,14 @@ def test_settling_of_many_loops_is_that_of_95_percent() -> None:
     assert Figures.of(own, loops_of(own, *rows)).settling_s == pytest.approx(0.19)
 
 
-def test_valves_are_counted_when_they_open_and_when_both_are_on() -> None:
+def test_valves_are_counted_that_open_and_both_on() -> None:
     own = scenario()
     currents = np.zeros((1, SAMPLES, 2))
     currents[0, 100:120, 0] = currents[0, 200:210, 0] = 0.5
     currents[0, 115:140, 1] = 0.4
-    found = Figures.of(own, loops_of(own, currents=currents))
-    assert found.both_valves_samples == 5
-    assert found.valve_actions_per_10_s == pytest.approx(6.0)
+    figures = Figures.of(own, loops_of(own, currents=currents))
+    assert figures.both_valves_samples == 5
+    assert figures.valve_actions_per_10_s == pytest.approx(6.0)
 
 
 @pytest.mark.parametrize(("still_on", "expected"), [(0, 0), (1, 1), (4, 4)])
@@ -131,18 +131,18 @@ def test_samples_until_closed_are_those_with_current_after_the_loss(still_on: in
 
 def test_only_steps_have_overshoot_and_settling() -> None:
     own = scenario(0.0)
-    found = Figures.of(own, loops_of(own))
-    assert found.overshoot is None
-    assert found.settling_s is None
+    figures = Figures.of(own, loops_of(own))
+    assert figures.overshoot is None
+    assert figures.settling_s is None
 
 
 def test_ratios_are_geometric_means_in_which_kinds_count_alike() -> None:
     kinds = {"a": Kind.STEP, "b": Kind.STEP, "c": Kind.RAMP, "d": Kind.SINE, "e": Kind.HOLD}
     base = Figures(1.0, 0.0, None, None, 0.0, 0.0, 0, None, 0)
     sizes = {"a": 0.5, "b": 2.0, "c": 4.0, "d": 0.25, "e": 99.0}
-    found = iae_ratios(
+    ratios = iae_ratios(
         {name: base._replace(iae=3 * size) for name, size in sizes.items()},
         {name: base._replace(iae=3.0) for name in sizes},
         kinds,
     )
-    assert found == pytest.approx({"all": 1.0, "step": 1.0, "ramp": 4.0, "sine": 0.25})
+    assert ratios == pytest.approx({"all": 1.0, "step": 1.0, "ramp": 4.0, "sine": 0.25})

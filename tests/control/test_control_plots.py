@@ -48,7 +48,7 @@ def drawn(name: str) -> Figure:
 
 
 @pytest.mark.parametrize("name", ["bode", "nichols", "sensitivity", "steps", "closed loop"])
-def test_a_figure_has_the_width_of_a_page_and_units_on_its_axes(name: str):
+def test_a_figure_fits_the_page_and_names_its_units(name: str):
     figure = drawn(name)
     assert figure.get_figwidth() == PAGE_IN
     assert "<svg" in svg(figure)

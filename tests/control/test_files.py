@@ -30,19 +30,19 @@ def written(tmp_path_factory, model, tuning):
 
 
 def test_a_controller_is_read_as_it_was_written(written, model, tuning) -> None:
-    found = load_controller(written)
+    content = load_controller(written)
     assert eqx.tree_equal(
-        *(eqx.filter(own, eqx.is_array, inverse=True) for own in (found.controller, tuning.controller))
+        *(eqx.filter(own, eqx.is_array, inverse=True) for own in (content.controller, tuning.controller))
     )
-    leaves = zip(*map(jax.tree.leaves, (found.controller, tuning.controller)), strict=True)
+    leaves = zip(*map(jax.tree.leaves, (content.controller, tuning.controller)), strict=True)
     for one, other in leaves:
         np.testing.assert_allclose(one, other, rtol=1e-12)
-    assert found.model == '../model ä"1"'
-    assert found.digest == model.provenance.digest
-    assert found.load == tuning.load
+    assert content.model == '../model ä"1"'
+    assert content.digest == model.provenance.digest
+    assert content.load == tuning.load
     for direction in DIRECTIONS:
-        assert found.margins[direction]["gain_dB"] == 7.5
-        assert found.margins[direction]["passed"] is True
+        assert content.margins[direction]["gain_dB"] == 7.5
+        assert content.margins[direction]["passed"] is True
 
 
 def test_a_controller_that_was_read_has_the_same_currents(written, tuning) -> None:

@@ -14,7 +14,7 @@ def integrator(gain: float, dead_time_s: float, omega=OMEGA):
 
 
 @pytest.mark.parametrize(("gain", "dead_time_s"), LOOPS)
-def test_an_integrator_with_dead_time_has_the_margins_of_its_closed_form(gain, dead_time_s) -> None:
+def test_margins_of_an_integrator_with_dead_time_are_exact(gain, dead_time_s) -> None:
     margin = margins(integrator(gain, dead_time_s), OMEGA)
     assert margin.gain_db == pytest.approx(20 * np.log10(np.pi / (2 * gain * dead_time_s)), rel=1e-3)
     assert margin.phase_deg == pytest.approx(90 - np.rad2deg(gain * dead_time_s), rel=1e-3)
@@ -29,7 +29,7 @@ def test_loops_with_a_leading_axis_have_the_margins_of_each() -> None:
             assert rows[number] == one
 
 
-def test_a_loop_that_never_reaches_half_a_turn_has_no_gain_margin() -> None:
+def test_without_half_a_turn_the_gain_margin_is_infinite() -> None:
     margin = margins(2 / (1j * OMEGA), OMEGA)
     assert margin.gain_db == np.inf
     assert margin.phase_deg == pytest.approx(90.0, rel=1e-6)
@@ -37,14 +37,14 @@ def test_a_loop_that_never_reaches_half_a_turn_has_no_gain_margin() -> None:
     assert margin.disk == pytest.approx(2.0, rel=1e-6)
 
 
-def test_a_loop_that_is_zero_at_its_last_frequency_has_the_margins_below_it() -> None:
+def test_a_loop_of_zero_at_the_end_has_margins() -> None:
     loop = integrator(2.0, 0.2)
     with np.errstate(all="raise"):
         margin = margins(np.append(loop[:-1], 0.0), OMEGA)
     assert margin.gain_db == margins(loop, OMEGA).gain_db
 
 
-def test_a_double_integrator_with_lead_has_the_margins_of_its_closed_form() -> None:
+def test_margins_of_a_double_integrator_with_lead_are_exact() -> None:
     s = 1j * OMEGA
     margin = margins((1 + s) / s**2, OMEGA)
     crossover = np.sqrt((1 + np.sqrt(5)) / 2)

@@ -25,14 +25,14 @@ def run(own: PidController, errors) -> tuple:
     return np.array(integrals), np.array(currents)
 
 
-def test_the_sign_of_the_error_chooses_the_valve_and_none_opens_none() -> None:
+def test_the_sign_of_the_error_chooses_the_valve() -> None:
     size = 0.05 * 4.0 * (1 + 0.01 / 2.0)
     for error, expected in ((4.0, [size, 0.0]), (-4.0, [0.0, size]), (0.0, [0.0, 0.0])):
         np.testing.assert_allclose(run(controller(), [error])[1][0], expected, rtol=1e-12)
     np.testing.assert_array_equal(run(controller(offset=0.3), [0.0])[1], [[0.0, 0.0]])
 
 
-def test_a_dead_zone_is_added_to_a_current_that_is_not_zero() -> None:
+def test_a_dead_zone_is_added_where_a_current_flows() -> None:
     plain, compensated = run(controller(), [4.0, -4.0])[1], run(controller(offset=0.3), [4.0, -4.0])[1]
     np.testing.assert_allclose(compensated, np.where(plain > 0, plain + 0.3, 0.0), rtol=1e-12)
 
@@ -53,7 +53,7 @@ def test_the_integral_grows_to_the_limit_and_no_further() -> None:
     assert currents.max() == pytest.approx(0.8, abs=0.01)
 
 
-def test_without_a_measurement_there_is_no_current_and_the_integral_starts_anew() -> None:
+def test_without_a_measurement_there_is_neither_current_nor_integral() -> None:
     integrals, currents = run(controller(), [8.0, 8.0, np.nan, np.nan])
     assert integrals[1] > 0
     np.testing.assert_array_equal(integrals[2:], 0.0)

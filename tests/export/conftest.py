@@ -1,5 +1,7 @@
 """Models that the tests of the export share."""
 
+import subprocess
+
 import pytest
 from export_models import MODELS
 
@@ -11,12 +13,13 @@ from hitchid.model import Hitch
 @pytest.fixture(scope="session")
 def compiler():
     """Return the C compiler of this machine."""
-    found = find_compiler()
-    if found is None:
+    own = find_compiler()
+    if own is None:
         pytest.skip("no C compiler is installed")
-    return found
+    return own
 
 
+WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wdouble-promotion -Werror -fsyntax-only"
 # Between them they have every part; the others have one each.
 TOGETHER = ("everything", "covariates along the stroke", "first order, fractional dead time")
 
@@ -42,3 +45,14 @@ def exported(everything, compiler, tmp_path_factory):
     folder = tmp_path_factory.mktemp("export") / "with ü and spaces"
     to_c(everything, folder)
     return folder
+
+
+@pytest.fixture(scope="session")
+def warnings(compiler):
+    """Return a function that gives what a strict compiler has to say about sources in a folder."""
+
+    def of(folder, *arguments) -> str:
+        command = [*compiler.command, *WARNINGS.split(), *arguments]
+        return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False).stderr  # noqa: S603
+
+    return of

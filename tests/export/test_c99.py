@@ -11,7 +11,7 @@ import pytest
 import handmade
 from hitchid.errors import InputError, OutputError
 from hitchid.export import ParityError, c99, fmu, to_c, to_fmu, to_onnx, verification
-from hitchid.export.c_templates import number
+from hitchid.export.c_templates import c_templates, number
 from hitchid.export.constants import constants_of
 from hitchid.structures import LinearStructure, Parameter, PhysicalModel
 
@@ -97,9 +97,9 @@ def test_a_compiler_that_fails_is_named(everything, tmp_path, monkeypatch) -> No
 
 def test_the_first_working_compiler_is_taken(compiler, monkeypatch) -> None:
     monkeypatch.setenv("CC", "no-such-compiler")
-    found = c99.find_compiler()
-    assert found is not None
-    assert os.path.isabs(found.command[0])
+    compiler = c99.find_compiler()
+    assert compiler is not None
+    assert os.path.isabs(compiler.command[0])
 
 
 @pytest.mark.parametrize("value", [0.1, 1 / 3, 1e-300, 123456789.123456789, -2.0, 1e22, 0.0, 5e-324])
@@ -140,8 +140,8 @@ def test_a_linear_structure_of_another_package_is_exported(compiler, tmp_path) -
 
 def test_one_with_covariates_is_refused(tmp_path) -> None:
     model = handmade.hitch_of(handmade.channel("lifting", "integrator", shape=True))
-    known = model.channels["lifting"].benchmark
-    other = PhysicalModel(Unknown(), known.values, known.dead_time_s, known.nonlinearity, known.scheduling)
+    own = model.channels["lifting"].benchmark
+    other = PhysicalModel(Unknown(), own.values, own.dead_time_s, own.nonlinearity, own.scheduling)
     channel = replace(model.channels["lifting"], benchmark=other)
     with pytest.raises(InputError, match="structure unknown: expected one whose equations"):
         to_c(replace(model, channels={"lifting": channel}), tmp_path / "out")
@@ -156,7 +156,9 @@ def test_parameters_change_the_code_as_they_change_the_model(compiler, tmp_path)
     for _ in range(200):
         state, displacement = changed.step(state, [0.8, 0.0])
         expected.append(float(displacement))
-    to_c(model, tmp_path / "out")
+    templates = c_templates(constants, "hitch", "mixed")
+    for ending in ("c", "h"):
+        (tmp_path / f"hitch.{ending}").write_text(templates.render(f"model.{ending}"))
     source = tmp_path / "main.c"
     source.write_text(
         '#include "hitch.h"\n#include <stdio.h>\n'
@@ -165,6 +167,6 @@ def test_parameters_change_the_code_as_they_change_the_model(compiler, tmp_path)
         'for (k = 0; k < 200; k++) { hitch_step(&s, &i, &o); printf("%.17g\\n", o.displacement); }\n'
         "return 0; }\n"
     )
-    compiler.compile([source, tmp_path / "out" / "hitch.c"], tmp_path / "main", f"-I{tmp_path / 'out'}")
+    compiler.compile([source, tmp_path / "hitch.c"], tmp_path / "main")
     done = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=True)  # noqa: S603
     assert [float(line) for line in done.stdout.split()] == pytest.approx(expected, rel=1e-12)
