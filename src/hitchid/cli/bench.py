@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import Force, Rig, Seed, check_output, rig_files
+from hitchid.cli import options
 
 
 class Protocol(Enum):
@@ -66,13 +66,13 @@ def bench(
     tests: Tests = None,
     protocol: Annotated[Protocol, typer.Option("--protocol", help="Kind of test.")] = Protocol.PRBS,
     mode: Mode = TestedDirections.BOTH,
-    rig: Rig = "nominal",
+    rig: options.Rig = "nominal",
     implements_kg: Implements = None,
     oil_c: Oil = None,
     consumer_l_min: Consumer = None,
     log_format: Annotated[LogFormat, typer.Option("--format", help="Format of the logs.")] = LogFormat.CSV,
-    seed: Seed = 0,
-    force: Force = False,
+    seed: options.Seed = 0,
+    force: options.Force = False,
 ) -> None:
     """Run tests on the virtual test bench; write one log a test and campaign.toml.
 
@@ -81,7 +81,7 @@ def bench(
     """
     from hitchid.cli import terminal as display
 
-    check_output(out, rig_files(rig), kind="campaign.toml", force=force)
+    options.check_output(out, options.rig_files(rig), kind="campaign.toml", force=force)
     prepare_jax()
     from hitchid.bench.virtual_campaign import REPEATS, TESTS, Conditions, write_campaign
     from hitchid.logs.record import DIRECTIONS

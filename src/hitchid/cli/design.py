@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import AsJson, Force, ModelFolder, check_output
+from hitchid.cli import options
 
 
 class OneDirection(Enum):
@@ -55,7 +55,7 @@ Out = Annotated[Path | None, typer.Option("--out", help="CSV file for the comman
 
 
 def design(
-    model: ModelFolder,
+    model: options.ModelFolder,
     direction: Direction = None,
     parameter: Reduced = None,
     purpose: For = None,
@@ -64,8 +64,8 @@ def design(
     longest: Longest = None,
     out: Out = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the candidate tests.")] = 0,
-    force: Force = False,
-    as_json: AsJson = False,
+    force: options.Force = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Propose the next test: the one that most reduces the error of the least determined parameter.
 
@@ -74,7 +74,7 @@ def design(
     from hitchid.cli import terminal as display
 
     if out is not None:
-        check_output(out, [model], force=force)
+        options.check_output(out, [model], force=force)
     prepare_jax()
     from hitchid.control import limitation
     from hitchid.control.next_test import ExcitationLimits, write_command

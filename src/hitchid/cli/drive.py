@@ -8,19 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import (
-    Accept,
-    AsJson,
-    Force,
-    Loads,
-    Quiet,
-    ReportFolder,
-    Rig,
-    check_output,
-    command_line,
-    loads_of,
-    rig_files,
-)
+from hitchid.cli import options
+from hitchid.cli.program import command_line
 from hitchid.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,24 +42,24 @@ Draws = Annotated[int, typer.Option("--draws", min=1, max=10000, help="Closed lo
 
 def drive(
     controller: Controller,
-    out: ReportFolder,
-    rig: Rig = "nominal",
+    out: options.ReportFolder,
+    rig: options.Rig = "nominal",
     plant: Plant = None,
     heavier: Heavier = 0.0,
     own: OwnController = None,
-    load: Loads = None,
+    load: options.Loads = None,
     draws: Draws = 20,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of loads and noise.")] = 0,
-    accept: Accept = None,
-    force: Force = False,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
+    accept: options.Accept = None,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Drive a controller through steps, ramps, ploughing, changes of load and oil on the virtual bench."""
     from hitchid._support.files import canonical_json
     from hitchid.cli import terminal as display
 
-    check_output(out, [controller, accept, *rig_files(rig)], kind="metrics.json", force=force)
+    options.check_output(out, [controller, accept, *options.rig_files(rig)], kind="metrics.json", force=force)
     prepare_jax()
     from hitchid._support.progress import ProgressUpdate
     from hitchid.control import load_controller
@@ -85,7 +74,7 @@ def drive(
     model, notices = _model(content, controller.parent)
     units = (content.units[DISPLACEMENT], content.units[COMMAND[DIRECTIONS[0]]])
     drawn: dict[str, Any] = {
-        "load": loads_of(load) if load else content.load or None,
+        "load": options.loads_of(load) if load else content.load or None,
         "draws": draws,
         "seed": seed,
     }

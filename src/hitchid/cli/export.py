@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import AsJson, Force, ModelFolder, Quiet
+from hitchid.cli import options
 from hitchid.errors import InputError
 
 
@@ -56,7 +56,7 @@ Platforms = Annotated[
 
 
 def export(
-    model: ModelFolder,
+    model: options.ModelFolder,
     to: To,
     out: Out,
     name: Annotated[str, typer.Option("--name", help="Prefix of all names in the code.")] = "hitch",
@@ -64,9 +64,9 @@ def export(
     no_compensators: NoCompensators = False,
     controller: Controller = None,
     platforms: Platforms = None,
-    force: Force = False,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Export a model to code that runs without Python, and prove that it computes what the model does."""
     from hitchid._support.files import check_inputs

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from hitchid.cli.program import Quiet
+from hitchid.cli import options
 from hitchid.errors import InputError
 
 
@@ -34,7 +34,7 @@ def hmi(
             "--silence-ms", min=200, max=5000, help="Silence of the operator's page that stops, ms."
         ),
     ] = 500,
-    quiet: Quiet = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Serve the operator's page on this machine and print its link; Ctrl-C ends it."""
     if allow_output and limits is None:

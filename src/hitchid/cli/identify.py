@@ -11,18 +11,8 @@ import typer
 
 from hitchid._support.jax_setup import prepare_jax
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, subtask_progress
-from hitchid.cli.program import (
-    AsJson,
-    Force,
-    Logs,
-    OptionalSeed,
-    Quiet,
-    Signals,
-    Strict,
-    check_output,
-    settings_of,
-    with_search_cache,
-)
+from hitchid.cli import options
+from hitchid.cli.program import with_search_cache
 from hitchid.errors import InputError, OutputError
 
 if TYPE_CHECKING:
@@ -45,25 +35,24 @@ Resume = Annotated[
 
 
 def identify(
-    logs: Logs,
+    logs: options.Logs,
     out: Out,
     config: Config = None,
-    signals: Signals = None,
-    strict: Strict = False,
-    seed: OptionalSeed = None,
+    signals: options.Signals = None,
+    strict: options.Strict = False,
+    seed: options.OptionalSeed = None,
     with_rivals: WithRivals = False,
     resume: Resume = False,
-    force: Force = False,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Identify a model from logs: dead zones, physics model, corrections.
 
     The physics model is saved as soon as it is found; Ctrl-C keeps it, and --resume goes on.
     """
     unfinished = out.absolute().with_name(f"{out.absolute().name}.unfinished")
-    # A stopped run has left its physics model in `out`, which the same run may replace.
-    force = force or (resume and unfinished.is_dir())
+    force = force or (resume and unfinished.is_dir())  # the stopped run has left its model in `out`
     _check_places(out, unfinished, [*logs, config, signals], resume=resume, force=force)
     prepare_jax()
     from hitchid.cli import terminal as display
@@ -72,7 +61,7 @@ def identify(
     from hitchid.identification.identify import RIVALS_SHARE
     from hitchid.logs.audit import audit
 
-    settings = settings_of(config, seed)
+    settings = options.settings_of(config, seed)
     rivals = RivalsConfig.of(settings.get("rivals", False))
     settings["rivals"] = replace(rivals, trained=False)  # they follow when the model is saved
     with_rivals = with_rivals or rivals.trained
@@ -137,7 +126,7 @@ def _check_places(
         raise OutputError(
             f"{unfinished}: holds a stopped run; use --resume to continue it, or --force to start again"
         )
-    check_output(out, inputs, kind="model.json", force=force)
+    options.check_output(out, inputs, kind="model.json", force=force)
     if stopped and not resume:
         if not is_run(unfinished):
             raise OutputError(f"{unfinished}: is not an unfinished run, so --force does not replace it")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hitchid.cli.program import AsJson, Force, Logs, Signals, Strict, check_output
+from hitchid.cli import options
 from hitchid.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,8 +17,8 @@ PICTURES = (".png", ".svg", ".pdf")
 
 
 def inspect(
-    logs: Logs,
-    signals: Signals = None,
+    logs: options.Logs,
+    signals: options.Signals = None,
     model: Annotated[
         Path | None, typer.Option("--model", help="Model folder with dead zones and dead times.")
     ] = None,
@@ -33,9 +33,9 @@ def inspect(
         ),
     ] = False,
     out: Annotated[Path | None, typer.Option("--out", help="File for --propose [standard output].")] = None,
-    strict: Strict = False,
-    force: Force = False,
-    as_json: AsJson = False,
+    strict: options.Strict = False,
+    force: options.Force = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Show the content of logs and audit them: problems, where they are, and what to measure again."""
     from hitchid.cli import terminal as display
@@ -50,7 +50,7 @@ def inspect(
     if picture is not None:
         if picture.suffix not in PICTURES:
             raise InputError(f"--draw: expected a name ending in {', '.join(PICTURES)}, got '{picture.name}'")
-        check_output(picture, [*logs, signals, model], force=force)
+        options.check_output(picture, [*logs, signals, model], force=force)
     switches = None
     if model is not None:
         from hitchid.model import load
@@ -75,7 +75,7 @@ def _propose(logs: list[Path], out: Path | None, *, force: bool) -> None:
     from hitchid.logs import propose
 
     if out is not None:
-        check_output(out, logs, force=force)
+        options.check_output(out, logs, force=force)
     text = propose(logs)
     if out is None:
         typer.echo(text, nl=False)

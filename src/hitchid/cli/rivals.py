@@ -1,17 +1,18 @@
 """`hitchid rivals`: models of other kinds, trained on the tests of a model, beside it."""
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import Force, Logs, ModelFolder, Quiet, Signals, Strict, with_search_cache
+from hitchid.cli import options
+from hitchid.cli.program import with_search_cache
 from hitchid.errors import OutputError
 
 
 def rivals(
-    model: ModelFolder,
-    logs: Logs,
-    signals: Signals = None,
-    strict: Strict = False,
-    force: Force = False,
-    quiet: Quiet = False,
+    model: options.ModelFolder,
+    logs: options.Logs,
+    signals: options.Signals = None,
+    strict: options.Strict = False,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Train the rivals of a model on the tests that it was identified from; validate then compares them.
 
