@@ -89,29 +89,12 @@ def test_a_campaign_is_drawn_from_its_seed_alone(tmp_path):
 
 def test_the_sixty_hold_everything_the_gauntlet_is_for():
     designs = [draw_design(seed) for seed in range(60)]
-    assert {design.structure for design in designs} == {
-        "integrator",
-        "integrator-first-order",
-        "integrator-second-order",
-        "first-order-lag",
-    }
-    assert {design.columns.displacement_unit for design in designs} == {
-        "mm",
-        "m",
-        "cm",
-        "deg",
-        "rad",
-        "V",
-        "1",
-    }
-    assert {shape for design in designs for shape in design.schedule.shapes} == {
-        "steps",
-        "ramp",
-        "PRBS",
-        "sine",
-        "operator",
-        "one level",
-    }
+    forms = {"integrator", "integrator-first-order", "integrator-second-order", "first-order-lag"}
+    assert {design.structure for design in designs} == forms
+    units = {"mm", "m", "cm", "deg", "rad", "V", "1"}
+    assert {design.columns.displacement_unit for design in designs} == units
+    shapes = {"steps", "ramp", "PRBS", "sine", "operator", "one level"}
+    assert {shape for design in designs for shape in design.schedule.shapes} == shapes
     assert {design.schedule.defect for design in designs} >= {"without motion", "at the stop", "saturated"}
     assert {design.columns.layout for design in designs} >= {"signed", "two columns", "lifting", "lowering"}
     for present in (

@@ -297,6 +297,7 @@ def _dynamic(rig: Rig, direction: str, static: StaticResult, tests: int, seed: i
         for _ in range(tests)
     ]
     names = [f"{direction}-{number:02d}" for number in range(1, tests + 1)]
+    # Noise of their own: that of the seed itself is in the ramps.
     return _logs(rig, names, commands, [_start(rig, direction)] * tests, seed + 1)
 
 

@@ -377,6 +377,7 @@ def _table(*header: str, kind: box.Box = box.HEAVY_HEAD) -> RichTable:
 
 
 def _console() -> PlainConsole:
+    # What goes to a file or a pipe has one width, whatever terminal it is started from.
     return PlainConsole(width=None if sys.stdout.isatty() else 120)
 
 

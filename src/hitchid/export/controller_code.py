@@ -192,6 +192,7 @@ def _targets(middle: float, reach: float, step_s: float, rng: np.random.Generato
     last = middle
     while targets.size < SAMPLES:
         count = round(float(rng.uniform(*TARGET_S)) / step_s)
+        # Half of them near the middle, so that some changes are small enough for the hold window.
         goal = middle + float(rng.uniform(-reach, reach)) * float(rng.choice([1.0, 0.1]))
         is_ramp = rng.random() < 0.3
         piece = np.linspace(last, goal, count) if is_ramp else np.full(count, goal)
