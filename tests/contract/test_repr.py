@@ -37,16 +37,8 @@ ROOMS = (
 # Settings: their `repr` is the call that makes them, on one line, and stands in model folders.
 SETTINGS = (
     *("AdamConfig", "AutoStructure", "CompensatorConfig", "DifferentialEvolution", "ExcitationLimits"),
-    *(
-        "Format",
-        "ModelSpec",
-        "MultiStart",
-        "Plan",
-        "SearchComparison",
-        "SpeedCompensatorConfig",
-        "Whale",
-        "WhaleConfig",
-    ),
+    *("Format", "ModelSpec", "MultiStart", "Plan", "SearchComparison", "SpeedCompensatorConfig", "Whale"),
+    "WhaleConfig",
 )
 MANY, SAMPLES = 40, 30  # items of each sequence and mapping, samples along each axis of an array
 LONG_NAME = "a name that is rather long, as names of logs are at times, for they tell what was measured/up-1"

@@ -46,15 +46,12 @@ def test_an_export_holds_sources_and_states_its_proof(exported) -> None:
 
 
 @pytest.mark.parametrize("name", ["", "9lives", "a-b", "int", "_hidden", "ä", "a" * 25, "x y", "class"])
-def test_a_name_that_is_no_identifier_is_refused(everything, name: str, tmp_path) -> None:
+def test_what_is_no_name_and_no_precision_is_refused(everything, name: str, tmp_path) -> None:
     with pytest.raises(InputError, match="name: expected a C identifier"):
         to_c(everything, tmp_path / "out", name=name)
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_precision_that_is_not_known_is_refused(everything, tmp_path) -> None:
-    with pytest.raises(Exception, match="precision"):
+    with pytest.raises(InputError, match="precision"):
         to_c(everything, tmp_path / "out", precision="half")
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.long

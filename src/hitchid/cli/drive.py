@@ -110,6 +110,7 @@ def _driven(
     """
     from hitchid.bench import load_rig
     from hitchid.control import ModelPlant
+    from hitchid.control.drive import travel_of
 
     if plant is None or model is None:
         if set(content.units.values()) != {"mm", "A"}:
@@ -119,9 +120,7 @@ def _driven(
                 "expected --plant model or --plant MODULE:OBJECT"
             )
         return load_rig(rig), None
-    ranges = [channel.operating_range.displacement for channel in model.channels.values()]
-    # Of both directions together: tests that lift from below and lower from above need not overlap.
-    travel = min(float(own.lowest) for own in ranges), max(float(own.highest) for own in ranges)
+    travel = travel_of(model)
     if plant == "model":
         return ModelPlant.of(content.controller, model, **drawn), travel
     return _imported(plant, "--plant", ("reset", "step")), travel

@@ -308,6 +308,13 @@ def drive(
     return Drive({scenario.name: scenario for scenario in todo}, loops, figures, bands, times_s, *units)
 
 
+def travel_of(model: Hitch) -> tuple[float, float]:
+    """Return the lowest and the highest displacement of the tests of a model."""
+    ranges = [channel.operating_range.displacement for channel in model.channels.values()]
+    # Of both directions together: tests that lift from below and lower from above need not overlap.
+    return min(float(own.lowest) for own in ranges), max(float(own.highest) for own in ranges)
+
+
 def _run(
     driven: PositionController,
     rig: Rig | Plant,

@@ -11,6 +11,7 @@ from hitchid._support.files import write_files
 from hitchid.control import ControllerFile, HitchController
 from hitchid.control.axis import REACHABLE, Axis
 from hitchid.control.controller import REST_S, SMOOTHING_S, STILL_SHARE, TARGET_SPEED_S, WIDEST
+from hitchid.control.drive import travel_of
 from hitchid.errors import InputError
 from hitchid.export.c_templates import CTemplates, Field, Precision, Typed, c_templates, valve_fields
 from hitchid.export.constants import ModelConstants, channel_constants
@@ -168,9 +169,7 @@ def controller_templates(
 def controller_run(controller: HitchController, model: Hitch, *, seed: int = 0) -> ControllerRun:
     """Return a run in closed loop with the model: steps, ramps, noise, a sensor that is lost."""
     rng = np.random.default_rng(seed)
-    ranges = [channel.operating_range.displacement for channel in model.channels.values()]
-    low = min(float(covered.lowest) for covered in ranges)
-    high = max(float(covered.highest) for covered in ranges)
+    low, high = travel_of(model)
     middle, width = (0.5 * (low + high), high - low) if high - low < 1e6 else (100.0, 75.0)
     targets = _targets(middle, STROKE_SHARE * width, controller.step_s, rng)
     lost = np.convolve(rng.random(SAMPLES) < MISSING, np.ones(round(0.1 / controller.step_s)))[:SAMPLES] > 0
