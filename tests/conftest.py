@@ -68,19 +68,19 @@ def compiled_programs_are_bounded():
 @pytest.fixture(scope="session")
 def once(tmp_path_factory):
     """Return a function that gives a folder of this run, filled by the first of the workers that asks."""
-    place = tmp_path_factory.getbasetemp()
+    shared = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
-        place = place.parent
+        shared = shared.parent
 
     def folder(name: str, fill: Callable[[Path], None]) -> Path:
-        filled = place / name
-        with (place / f"{name}.lock").open("w") as lock:
+        filled = shared / name
+        with (shared / f"{name}.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
-            if not (place / f"{name}.filled").exists():
+            if not (shared / f"{name}.filled").exists():
                 shutil.rmtree(filled, ignore_errors=True)
                 filled.mkdir()
                 fill(filled)
-                (place / f"{name}.filled").touch()
+                (shared / f"{name}.filled").touch()
         return filled
 
     return folder
@@ -110,8 +110,8 @@ def identified(once, bench, quick_settings):
     import hitchid
 
     def identify(folder: Path) -> None:
-        found = hitchid.identify(hitchid.read(bench), **quick_settings, checkpoints=folder / "kept")
-        found.save(folder / "model")
+        identification = hitchid.identify(hitchid.read(bench), **quick_settings, checkpoints=folder / "kept")
+        identification.save(folder / "model")
 
     return once("identified", identify)
 

@@ -6,9 +6,10 @@ import numpy as np
 import handmade
 from hitchid.control.axis import Axis
 from hitchid.control.controller import Gains, HitchController, HoldWindow
+from hitchid.control.loops import Margins
+from hitchid.control.tuning import DirectionMargins, Tuning
 from hitchid.logs.record import DIRECTIONS
 
-UNITS = {"displacement": "mm", "lifting_command": "A", "lowering_command": "A"}
 DEAD_TIME_S = 0.064
 LAG_S = 0.08
 PRESSURE = {"pressure": 125.0}
@@ -47,3 +48,10 @@ def made_up_controller(model) -> HitchController:
         hold=HoldWindow(jnp.asarray(0.075), jnp.asarray(0.3)),
         rate=jnp.asarray(40.0),
     )
+
+
+def made_up_tuning(controller: HitchController, load: dict[str, float], *, gain_db: float = 7.5) -> Tuning:
+    """Return a tuning that ends in a controller."""
+    worst = Margins(*map(np.asarray, (gain_db, 51.0, 0.21, 1.6, 0.9)))
+    margins = {direction: DirectionMargins(worst, worst, 0.07) for direction in DIRECTIONS}
+    return Tuning(controller, "PI", {"PI": 31.0}, margins, load, handmade.UNITS, 200)

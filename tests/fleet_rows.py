@@ -71,6 +71,6 @@ def fleet(machines=24, seed=0, faults=None, name=machine_name, directions=("lift
     rows = []
     for number in range(machines):
         changes = {"lowering": faults.get(number, {})}
-        found = {each: figures(each, rng, **changes.get(each, {})) for each in directions}
-        rows.append(row(name(number), found))
+        own = {mode: figures(mode, rng, **changes.get(mode, {})) for mode in directions}
+        rows.append(row(name(number), own))
     return rows

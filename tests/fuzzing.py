@@ -33,15 +33,13 @@ from safetensors.numpy import save as save_tensors
 from scipy.io import netcdf_file, savemat
 
 import fleet_rows
-from controllers import made_up_controller, made_up_model
+from controllers import made_up_controller, made_up_model, made_up_tuning
 from handmade import channel, hitch, hitch_of, with_bands
 from hitchid._support.checkpoints import DIGEST_LENGTH, Checkpoints, Cube
 from hitchid._support.files import canonical_json, digest
 from hitchid._support.tables import DataTable
 from hitchid.bench.parameter_files import load_rig
 from hitchid.control.files import load_controller, save_controller
-from hitchid.control.loops import Margins
-from hitchid.control.tuning import DirectionMargins, Tuning
 from hitchid.errors import HitchError, InputError
 from hitchid.fleet import Store, compare_fleet
 from hitchid.fleet.comparison import comparison_metrics
@@ -291,10 +289,10 @@ def _containers(place: Path) -> Iterator[Seed]:
 def _buses(place: Path) -> Iterator[Seed]:
     database = write_dbc(place / "bus.dbc", *DBC).read_bytes()
     grouped = database.replace(b"BO_ 256 ", b"BO_ 2566849278 ")
-    found = columns()
+    log = columns()
     frames = []
-    for number, stamp_s in enumerate(found["time_s"]):
-        up, moved = round(1000 * found["current_up_A"][number]), 100 * found["displacement_mm"][number]
+    for number, stamp_s in enumerate(log["time_s"]):
+        up, moved = round(1000 * log["current_up_A"][number]), 100 * log["displacement_mm"][number]
         frames += [
             frame(stamp_s, 0x100, struct.pack("<HHI", up, 0, 0)),
             frame(stamp_s, 0x101, struct.pack(">hHI", round(moved), 0, 0)),
@@ -319,18 +317,15 @@ def _settings() -> Iterator[Seed]:
     )
     log = write.getvalue().encode()
     beside = {"campaign.toml": CAMPAIGN.encode(), "a.csv": log, "b.csv": log}
+    nominal = resources.files("hitchid.bench") / "parameters" / "nominal.toml"
     for name, files, door in (
         ("campaign.toml", beside, read_campaign),
-        ("settings", {"settings.toml": SETTINGS.encode()}, read_settings_file),
-        ("limits", {"limits.toml": LIMITS.encode()}, read_limits_file),
-        ("rig", {"rig.toml": _nominal()}, read_rig),
+        ("settings", {"settings.toml": SETTINGS.encode()}, reading(read_settings, "settings.toml")),
+        ("limits", {"limits.toml": LIMITS.encode()}, reading(read_limits, "limits.toml")),
+        ("rig", {"rig.toml": nominal.read_bytes()}, reading(load_rig, "rig.toml")),
     ):
         named = next(iter(files))
         yield Seed(name, files, (named,), door, text=True, changes=(_toml_changed(named),))
-
-
-def _nominal() -> bytes:
-    return (resources.files("hitchid.bench") / "parameters" / "nominal.toml").read_bytes()
 
 
 def _kept(place: Path) -> Iterator[Seed]:
@@ -344,15 +339,11 @@ def _kept(place: Path) -> Iterator[Seed]:
             yield Seed("rivals resealed", files, (), use_rivals, changes=(_rivals_resealed,), costly=True)
         yield Seed(f"model {name} resealed", files, (), look_at_model, changes=(_resealed,))
         yield Seed(f"model {name} in use", files, (), use_model, changes=(_resealed,), costly=True)
-    controller = _controller(place)
-    yield Seed(
-        "controller",
-        controller,
-        tuple(controller),
-        use_controller,
-        text=True,
-        changes=(_toml_changed(CONTROLLER),),
-    )
+    model = made_up_model(shape=True)
+    tuning = made_up_tuning(made_up_controller(model), {"pressure": 125.0})
+    save_controller(tuning, model, place / CONTROLLER, force=True)
+    controller, edits = {CONTROLLER: (place / CONTROLLER).read_bytes()}, (_toml_changed(CONTROLLER),)
+    yield Seed("controller", controller, (CONTROLLER,), use_controller, text=True, changes=edits)
     row = {ROW: fleet_rows.row("tractor-7", {LIFTING: fleet_rows.figures(LIFTING)}).as_json()}
     yield Seed("fleet row", row, tuple(row), compare_row, text=True, changes=(_json_changed(ROW),))
     log = {CHANGE_LOG: "".join(f"{event.to_json()}\n" for event in EVENTS).encode()}
@@ -483,17 +474,6 @@ KEPT_SETTINGS = {
 }
 
 
-def _controller(place: Path) -> Files:
-    """Return a controller file of a model with curves and a covariate."""
-    model = made_up_model(shape=True)
-    worst = Margins(*map(np.asarray, (7.5, 51.0, 0.21, 1.6, 0.9)))
-    margins = {direction: DirectionMargins(worst, worst, 0.07) for direction in model.channels}
-    load, trials = {"pressure": 125.0}, {"PI": 31.0}
-    tuning = Tuning(made_up_controller(model), "PI", trials, margins, load, model.units, 200)
-    save_controller(tuning, model, place / CONTROLLER, force=True)
-    return {CONTROLLER: (place / CONTROLLER).read_bytes()}
-
-
 # --- doors ------------------------------------------------------------------------------------------------
 
 
@@ -514,19 +494,9 @@ def read_campaign(folder: Path, process: ReaderProcess) -> object:
     return read_logs(folder, process)
 
 
-def read_settings_file(folder: Path, _: ReaderProcess) -> object:
-    """Read the settings of an identification."""
-    return read_settings(folder / "settings.toml")
-
-
-def read_limits_file(folder: Path, _: ReaderProcess) -> object:
-    """Read the limits of a validation."""
-    return read_limits(folder / "limits.toml")
-
-
-def read_rig(folder: Path, _: ReaderProcess) -> object:
-    """Read the parameters of a rig."""
-    return load_rig(folder / "rig.toml")
+def reading(read: Callable[[Path], object], name: str) -> Door:
+    """Return the door of a file that one call reads."""
+    return lambda folder, _: read(folder / name)
 
 
 def read_model(folder: Path, _: ReaderProcess) -> object:
@@ -698,8 +668,8 @@ def read_checkpoint(folder: Path, _: ReaderProcess) -> object:
     def work() -> dict[str, np.ndarray]:
         raise Redone
 
-    found = Checkpoints(folder).cached_arrays("piece", work)
-    return {name: (values.dtype.str, values.tobytes()) for name, values in found.items()}
+    arrays = Checkpoints(folder).cached_arrays("piece", work)
+    return {name: (values.dtype.str, values.tobytes()) for name, values in arrays.items()}
 
 
 # --- changes ----------------------------------------------------------------------------------------------
@@ -707,39 +677,10 @@ def read_checkpoint(folder: Path, _: ReaderProcess) -> object:
 BYTES = (0, 1, 0x7F, 0x80, 0xFF, 0x20, 0x0A)
 SIZES = (0, 1, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**40, 2**60, 2**63 - 1, 2**63, 2**64 - 1)
 WORDS = (
-    *(
-        "",
-        "nan",
-        "inf",
-        "-inf",
-        "1e999",
-        "-1e308",
-        "1e308",
-        "5e-324",
-        "1e-9",
-        "0",
-        "-0",
-        "-1",
-        "1_000",
-        "0x10",
-    ),
-    *("9" * 30, "9" * 5000, "0x" + "f" * 5000, "18446744073709551616", "1e-5000", "1,5", "1.5.2", '"', "'"),
-    *(
-        "true",
-        "[]",
-        "{}",
-        "[[",
-        "\0",
-        "\n",
-        "\r",
-        " " * 300,
-        "(" * 300,
-        "mm",
-        "bar",
-        "\u00b5",
-        "\ufeff",
-        "a" * 3000,
-    ),
+    *("", "nan", "inf", "-inf", "1e999", "-1e308", "1e308", "5e-324", "1e-9", "0", "-0", "-1", "1_000"),
+    *("0x10", "9" * 30, "9" * 5000, "0x" + "f" * 5000, "18446744073709551616", "1e-5000", "1,5", "1.5.2"),
+    *('"', "'", "true", "[]", "{}", "[[", "\0", "\n", "\r", " " * 300, "(" * 300, "mm", "bar", "\u00b5"),
+    *("\ufeff", "a" * 3000),
 )
 WORD = re.compile(r"[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?|[A-Za-z_]+")
 
@@ -801,10 +742,10 @@ def _enlarge(rng: np.random.Generator, data: bytes) -> bytes:
 
 def _worded(rng: np.random.Generator, data: bytes) -> bytes:
     text = data.decode("latin-1")
-    found = list(WORD.finditer(text))
-    if not found:
+    words = list(WORD.finditer(text))
+    if not words:
         return data
-    match = found[int(rng.integers(0, len(found)))]
+    match = words[int(rng.integers(0, len(words)))]
     word = WORDS[int(rng.integers(0, len(WORDS)))]
     return (text[: match.start()] + word + text[match.end() :]).encode(
         "utf-8" if "\ufeff" in word else "latin-1", "replace"
@@ -833,19 +774,8 @@ def _lined(rng: np.random.Generator, data: bytes) -> bytes:
 
 
 BYTE_CHANGES: tuple[Change, ...] = (
-    *(
-        _flip,
-        _flip,
-        _overwrite,
-        _overwrite,
-        _insert,
-        _delete,
-        _duplicate,
-        _truncate,
-        _move,
-        _enlarge,
-        _enlarge,
-    ),
+    *(_flip, _flip, _overwrite, _overwrite, _insert, _delete, _duplicate, _truncate, _move),
+    *(_enlarge, _enlarge),
 )
 TEXT_CHANGES: tuple[Change, ...] = (_worded, _worded, _worded, _separated, _lined)
 
@@ -868,42 +798,10 @@ def changed(rng: np.random.Generator, seed: Seed, every: list[Seed]) -> Files:
 
 VALUES: tuple[Any, ...] = (
     *(None, True, False, 0, -1, 1, 2, 10**6, 10**9, 10**18, 10**400, 16**5000, 1e308, -1e308, 5e-324, 0.5),
-    *(
-        math.nan,
-        math.inf,
-        -math.inf,
-        "",
-        "x",
-        "mm",
-        "*",
-        "\0",
-        "../../x",
-        "a" * 5000,
-        "\U0001f600",
-        [],
-        {},
-        [[]],
-    ),
-    *(
-        [1, 2],
-        [2.0, 1.0],
-        ["a", "a"],
-        [math.nan, 1.0],
-        {"x": 1},
-        {"column": "time_s"},
-        {"value": 1},
-        "command",
-    ),
-    *(
-        "time",
-        "displacement",
-        "lifting_command",
-        "integrator",
-        "automatic",
-        "2024-05-01",
-        [None] * 3,
-        [["x"] * 50],
-    ),
+    *(math.nan, math.inf, -math.inf, "", "x", "mm", "*", "\0", "../../x", "a" * 5000, "\U0001f600"),
+    *([], {}, [[]], [1, 2], [2.0, 1.0], ["a", "a"], [math.nan, 1.0], {"x": 1}, {"column": "time_s"}),
+    *({"value": 1}, "command", "time", "displacement", "lifting_command", "integrator", "automatic"),
+    *("2024-05-01", [None] * 3, [["x"] * 50]),
 )
 
 
@@ -975,10 +873,7 @@ def _json_changed(name: str) -> Callable[[np.random.Generator, Files], Files]:
     return change
 
 
-DESCRIBED = {
-    "model.json": ("weights.safetensors", "trace.json"),
-    "rivals.json": ("rivals.safetensors",),
-}
+DESCRIBED = {"model.json": ("weights.safetensors", "trace.json"), "rivals.json": ("rivals.safetensors",)}
 
 
 def resealed(files: Mapping[str, bytes], content: Mapping[str, Any], name: str = "model.json") -> Files:

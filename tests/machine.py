@@ -18,9 +18,9 @@ COVERED = handmade.envelope(displacement=(40.0, 160.0))
 
 def model(**options):
     """Return a model by hand that both directions of a machine follow alike, their speeds within 2 %."""
-    found = handmade.hitch(covered=COVERED, filtered=True, **options)
+    hitch = handmade.hitch(covered=COVERED, filtered=True, **options)
     return replace(
-        found, channels={mode: replace(each, load_filter=FILTER) for mode, each in found.channels.items()}
+        hitch, channels={mode: replace(own, load_filter=FILTER) for mode, own in hitch.channels.items()}
     )
 
 
@@ -71,23 +71,23 @@ def strokes(count, *, seed=0, scatter=0.0, changed_at=0, first=0, start=100.0, s
         changed: factor on the gains, and A on the dead zones.
     """
     rng = np.random.default_rng(seed)
-    found, at = [], start
+    made, at = [], start
     for number in range(count):
         levels = rng.uniform([0.1, 0.3], [0.2, 0.45])
         now = changed if number >= changed_at else {}
         gain = now.get("gain", 1.0) * np.exp(scatter * rng.standard_normal())
         mode = DIRECTIONS[number % 2]
-        each = stroke(mode, levels, start=at, samples=samples, **{**now, "gain": gain})
-        at = float(each.displacement[-1])
-        noisy = each.displacement + NOISE * rng.standard_normal(each.displacement.size)
+        own = stroke(mode, levels, start=at, samples=samples, **{**now, "gain": gain})
+        at = float(own.displacement[-1])
+        noisy = own.displacement + NOISE * rng.standard_normal(own.displacement.size)
         begin = REST + (first + number) * len(noisy)
-        found.append(each._replace(begin=begin, displacement=noisy))
-    return found
+        made.append(own._replace(begin=begin, displacement=noisy))
+    return made
 
 
-def stream(found):
+def stream(strokes):
     """Return commands and displacement of strokes one after the other, shapes [N, 2] and [N]."""
     return (
-        np.concatenate([each.commands for each in found]),
-        np.concatenate([each.displacement for each in found]),
+        np.concatenate([stroke.commands for stroke in strokes]),
+        np.concatenate([stroke.displacement for stroke in strokes]),
     )

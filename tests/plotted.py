@@ -52,10 +52,10 @@ def predictions(models=("benchmark", "free_run", "one_step"), sizes=(300, 250, 2
     rng = np.random.default_rng(0)
     time_s = tuple(STEP_S * np.arange(size) for size in sizes)
     actual = tuple(100 + 40 * np.sin(each) for each in time_s)
-    told = {name: tuple(y + 0.1 * rng.standard_normal(y.size).cumsum() for y in actual) for name in models}
-    middle = told["free_run"] if band and "free_run" in told else None
+    runs = {name: tuple(y + 0.1 * rng.standard_normal(y.size).cumsum() for y in actual) for name in models}
+    middle = runs["free_run"] if band and "free_run" in runs else None
     ends = None if middle is None else tuple(tuple(y + side for y in middle) for side in (-2.0, 2.0))
-    return Predictions(tuple(f"up-{i}" for i in range(len(sizes))), time_s, actual, told, ends)
+    return Predictions(tuple(f"up-{i}" for i in range(len(sizes))), time_s, actual, runs, ends)
 
 
 def residuals():

@@ -78,7 +78,7 @@ def german(path):
         *("csv-quoted-comma", "lvm-three-channels", "lvm-no-x-column", "h5-2d", "h5-compound"),
     ],
 )
-def test_every_dialect_of_a_test_is_read_as_the_same_500_samples(inspected, lift, name):
+def test_every_dialect_is_read_as_the_same_500_samples(inspected, lift, name):
     records, _, _ = inspected(name)
     check_lift(records, lift)
 
@@ -130,7 +130,7 @@ def test_samples_that_mdf_calls_invalid_are_left_out_and_counted(inspected, lift
     assert np.count_nonzero(np.abs(records["lift"].displacement - lift[3]) > PRINTED) <= 3
 
 
-def test_iso_stamps_in_german_tables_are_seconds_since_the_first_row(case, inspected, tmp_path):
+def test_iso_stamps_are_seconds_since_the_first_row(case, inspected, tmp_path):
     (tmp_path / "signals.toml").write_text(propose(case("german-iso")))
     records, findings, _ = inspected("german-iso", tmp_path / "signals.toml")
     assert len(records) == 8
@@ -194,7 +194,7 @@ def test_each_channel_comes_to_the_clock_of_the_motion(case, inspected, name):
             np.testing.assert_allclose(record.signals["oil_temp"], expected, rtol=1e-9)
 
 
-def test_two_rows_with_one_stamp_leave_the_command_of_the_last(case, inspected):
+def test_of_two_rows_with_one_stamp_the_last_counts(case, inspected):
     records, _, notices = inspected("two-rows-per-event")
     for name, record in records.items():
         _, *rows = csv.reader((case("two-rows-per-event") / f"{name}.csv").read_text().splitlines())
@@ -285,13 +285,13 @@ def check_truth(traces, truth, *, open_to=()):
     """Check that every 95 % interval contains the truth, and that all are closed but for some names."""
     for direction, values in truth.items():
         assessment = traces[direction].phase1.assessment
-        found = {each.name: each for each in (*assessment.derived, *assessment.parameters)}
-        found["dead_zone"] = traces[direction].characteristics.dead_zone
+        estimates = {estimate.name: estimate for estimate in (*assessment.derived, *assessment.parameters)}
+        estimates["dead_zone"] = traces[direction].characteristics.dead_zone
         for name, value in values.items():
-            lower, upper = found[name].interval
+            lower, upper = estimates[name].interval
             assert lower is None or lower <= value, (direction, name)
             assert upper is None or value <= upper, (direction, name)
-            assert found[name].determined or name in open_to, (direction, name)
+            assert estimates[name].determined or name in open_to, (direction, name)
 
 
 @pytest.mark.long

@@ -199,7 +199,7 @@ LONG = {
 }
 
 
-@pytest.mark.parametrize("content", LONG.values(), ids=LONG.keys())
+@pytest.mark.parametrize("content", LONG.values(), ids=LONG)
 def test_text_of_any_length_is_told_in_time(put, process, content):
     refused(put(a__csv=content), process, within_s=5)
 
@@ -215,11 +215,9 @@ TOO_MUCH = {
 }
 
 
-@pytest.mark.parametrize("content", TOO_MUCH.values(), ids=TOO_MUCH.keys())
+@pytest.mark.parametrize("content", TOO_MUCH.values(), ids=TOO_MUCH)
 @pytest.mark.parametrize("door", ["campaign.toml", "settings", "limits", "rig"])
-def test_settings_beyond_measure_are_refused_in_time_and_in_few_words(
-    every, tmp_path, process, content, door
-):
+def test_settings_beyond_measure_are_refused_in_few_words(every, tmp_path, process, content, door):
     seed = next(seed for seed in every if seed.name == door)
     fuzzing.put(tmp_path / "in", {**seed.files, seed.changed[0]: content})
     with fuzzing.hang_ends(5), pytest.raises(SettingsError) as caught:
@@ -251,7 +249,7 @@ CLOCKS = {
 }
 
 
-@pytest.mark.parametrize("time_s", CLOCKS.values(), ids=CLOCKS.keys())
+@pytest.mark.parametrize("time_s", CLOCKS.values(), ids=CLOCKS)
 @pytest.mark.filterwarnings("ignore:overflow")
 def test_a_clock_no_logger_has_is_refused(put, process, time_s):
     assert "the sampling time is" in refused(put(a__csv=rows(time_s.tolist())), process)
@@ -265,7 +263,7 @@ def test_a_displacement_of_the_smallest_numbers_is_looked_at(put, process):
     assert fuzzing.read_logs(put(a__csv=content), process)
 
 
-def test_logs_of_far_too_unlike_rates_are_refused_instead_of_resampled(put, process):
+def test_logs_of_far_too_unlike_rates_are_refused(put, process):
     fast, slow = rows([1e-8 * n for n in range(40)]), rows([float(n) for n in range(40)])
     said = refused(put(a__csv=fast, b__csv=slow, c__csv=fast), process)
     assert "times longer or shorter than the median" in said
@@ -297,6 +295,10 @@ def test_any_name_of_a_log_is_read_and_told(tmp_path, name):
         (tmp_path / f"{name}.{ending}").write_bytes(b"no log")
         with pytest.raises(LogError):
             read(tmp_path / f"{name}.{ending}")
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
 @pytest.fixture
@@ -403,7 +405,7 @@ FORGED = [
     ("path", "value"), FORGED, ids=[f"{path}={str(value)[:20]}" for path, value in FORGED]
 )
 def test_a_forged_description_is_refused_by_key(model, path, value):
-    files = {each.name: each.read_bytes() for each in model.iterdir()}
+    files = contents(model)
     part = path.partition("/")[0]
     name = f"{part}.json" if part in ("rivals", "trace") else "model.json"
     content = json.loads(files[name])
@@ -433,16 +435,17 @@ ARRAYS = {
     "an unknown factor": ("lifting/baselines/narx/terms", 500),
     "the lowest integer": ("lifting/baselines/narx/terms", -(2**63)),
     "no term": ("lifting/baselines/narx/coefficients", np.zeros(0)),
+    "of no part": ("lifting/code", np.zeros(3)),
 }
 
 
 @pytest.mark.parametrize(("name", "number"), ARRAYS.values(), ids=ARRAYS)
 def test_a_forged_array_is_refused_by_name(model, name, number):
-    files = {each.name: each.read_bytes() for each in model.iterdir()}
+    files = contents(model)
     stem = "rivals" if "/baselines/" in name else "weights"
     described = "rivals.json" if stem == "rivals" else "model.json"
     tensors = load_tensors(files[f"{stem}.safetensors"])
-    like = tensors[name]
+    like = tensors.get(name)
     tensors[name] = number if np.ndim(number) else np.full(like.shape, number, like.dtype)
     changed = {**files, f"{stem}.safetensors": save_tensors(tensors)}
     fuzzing.put(model, fuzzing.resealed(changed, json.loads(files[described]), described))
@@ -481,20 +484,11 @@ def test_a_forged_row_of_a_fleet_is_refused_by_key(every, tmp_path, path, value)
 @pytest.mark.parametrize(
     "edit", [{"changes": {"gain": 1e3, "dead_zone": 0.0, "lag": 0.0}}, {"strokes": [-1]}]
 )
-def test_a_forged_entry_of_a_change_log_is_refused_by_key(tmp_path, edit):
+def test_a_forged_change_log_is_refused_by_key(tmp_path, edit):
     line = {**json.loads(fuzzing.EVENTS[0].to_json()), **edit}
     (tmp_path / "changes.jsonl").write_text(json.dumps(line) + "\n")
     with pytest.raises(InputError, match=next(iter(edit))):
         read_events(tmp_path / "changes.jsonl")
-
-
-def test_an_array_that_no_part_of_a_model_has_is_refused(model):
-    files = {each.name: each.read_bytes() for each in model.iterdir()}
-    tensors = {**load_tensors(files["weights.safetensors"]), "lifting/code": np.zeros(3)}
-    changed = {**files, "weights.safetensors": save_tensors(tensors)}
-    fuzzing.put(model, fuzzing.resealed(changed, json.loads(files["model.json"])))
-    with pytest.raises(ModelFolderError, match="lifting/code"):
-        load(model)
 
 
 class Evil:
@@ -510,7 +504,7 @@ class Evil:
 def test_nothing_is_unpickled(model, tmp_path):
     mark = tmp_path / "mark"
     code = pickle.dumps(Evil(mark))
-    files = {each.name: each.read_bytes() for each in model.iterdir()}
+    files = contents(model)
     content = json.loads(files["model.json"])
     for weights in (code, save_tensors({"x": np.frombuffer(code, np.uint8)})):
         fuzzing.put(model, fuzzing.resealed({**files, "weights.safetensors": weights}, content))
@@ -522,7 +516,7 @@ def test_nothing_is_unpickled(model, tmp_path):
     assert not mark.exists()
 
 
-def test_no_piece_of_a_run_is_unpickled_or_taken_where_it_is_no_archive(every, tmp_path, process):
+def test_no_piece_of_a_run_is_unpickled(every, tmp_path, process):
     (name,) = files_of(every, "checkpoint")
     mark = tmp_path / "mark"
     np.savez(tmp_path / "evil.npz", allow_pickle=True, x=np.array([Evil(mark)], dtype=object))
@@ -536,24 +530,11 @@ def test_no_piece_of_a_run_is_unpickled_or_taken_where_it_is_no_archive(every, t
     assert not mark.exists()
 
 
-def test_links_of_hdf5_to_other_files_are_refused(tmp_path, process):
-    (tmp_path / "logs").mkdir()
-    with h5py.File(tmp_path / "other.h5", "w") as file:
-        file.create_dataset("displacement_mm", data=fuzzing.columns()["displacement_mm"])
-    with h5py.File(tmp_path / "logs" / "a.h5", "w") as file:
-        for name in NAMES[:3]:
-            file.create_dataset(name, data=fuzzing.columns()[name])
-        file["displacement_mm"] = h5py.ExternalLink(str(tmp_path / "other.h5"), "displacement_mm")
-    assert "link to another file" in refused(tmp_path / "logs", process)
-
-
 def test_a_database_of_10_000_signals_is_read(every, tmp_path, process):
     files = files_of(every, "asc")
     signals = [f's{n} : {6 * n}|6@1+ (1,0) [0|0] "" ECU' for n in range(10)]
     database = write_dbc(
-        tmp_path / "large.dbc",
-        *fuzzing.DBC,
-        *(message(2**31 + n, f"M{n}", *signals) for n in range(1000)),
+        tmp_path / "large.dbc", *fuzzing.DBC, *(message(2**31 + n, f"M{n}", *signals) for n in range(1000))
     )
     fuzzing.put(tmp_path / "in", {**files, "bus.dbc": database.read_bytes()})
     fuzzing.read_logs(tmp_path / "in", process)

@@ -17,7 +17,7 @@ from hitchid.logs.record import LOWERING
 pytestmark = pytest.mark.long
 
 
-def test_the_lag_of_the_papers_lowering_model_is_not_printed_as_if_it_were_determined(data):
+def test_the_lag_of_the_papers_lowering_model_is_open(data):
     whole = read(data("rig-a"))
     campaign = replace(whole, records=(*whole.of_kind(LOWERING), *whole.ramps(LOWERING)))
     model = identify(campaign, structure=PAPER_SPECS, training=None, rivals=None).model
@@ -40,7 +40,7 @@ def test_the_lag_of_the_papers_lowering_model_is_not_printed_as_if_it_were_deter
 
 
 @pytest.mark.parametrize("mode", ["lifting", "lowering"])
-def test_phase_1_reaches_the_best_of_64_starts_from_every_seed(data, mode):
+def test_the_search_reaches_the_best_of_64_starts(data, mode):
     tests = prepare(read(data("rig-a")), mode, None)
 
     def rmse(search, seed):
@@ -52,7 +52,7 @@ def test_phase_1_reaches_the_best_of_64_starts_from_every_seed(data, mode):
         assert rmse(Whale(), seed) <= 1.001 * best
 
 
-def test_ramps_and_dynamic_tests_agree_on_the_dead_zone_of_rig_a(data):
+def test_ramps_and_dynamic_tests_agree_on_the_dead_zone(data):
     campaign = read(data("rig-a"))
     ramps = prepare(campaign, "lifting", None).dead_zone
     assert ramps.origin == "ramps"
@@ -67,7 +67,7 @@ def test_ramps_and_dynamic_tests_agree_on_the_dead_zone_of_rig_a(data):
 
 
 @pytest.mark.parametrize("name", ["raise-060-light", "lower-060-heavy"])
-def test_an_export_of_controldesk_gives_the_signals_that_were_made_of_it(data, name):
+def test_an_export_of_controldesk_gives_its_signals(data, name):
     (raw,) = read(data("dspace-raw") / f"{name}.csv.gz").records
     (made,) = read(data("excavator-boom") / f"{name}.csv.gz").records
     assert (len(raw), raw.step_s, raw.kind) == (len(made), made.step_s, made.kind)
@@ -78,7 +78,7 @@ def test_an_export_of_controldesk_gives_the_signals_that_were_made_of_it(data, n
     np.testing.assert_allclose(pressure, made.signals["head_pressure"], rtol=0, atol=0.5001e-3)
 
 
-def test_logs_as_recorded_are_read_on_their_clock_with_their_zero_and_scale(data):
+def test_logs_as_recorded_keep_clock_zero_and_scale(data):
     field = read(data("field-excavator"))
     assert field.step_s == 0.053
     assert {record.name.partition("@")[0] for record in field.records} == {f"field-0{k}" for k in range(1, 7)}

@@ -12,6 +12,7 @@ from hitchid.model import save
 
 CHILD = """
 import json, sys, traceback
+from functools import partial
 from pathlib import Path
 import jax
 import jax.numpy as jnp
@@ -86,198 +87,167 @@ def apart(call):
     return float(np.max(np.abs(single - double) / np.maximum(np.abs(double), 1e-3), initial=0.0))
 
 
+def of(call, *values):
+    return [lambda value=value: call(value) for value in values]
+
+
+def using(call, *options):
+    return [lambda own=own: call(**own) for own in options]
+
+
+frame = record.to_dataframe()
+from_frame, frames = hitchid.Record.from_dataframe, hitchid.Campaign.from_dataframes
 units = {"displacement": "mm", "lifting_command": "A"}
 signals = {"displacement": np.zeros(3), "lifting_command": np.zeros(3)}
 wrong = {
     'a campaign as hitchid.read("logs")': [
-        lambda: hitchid.identify("logs"),
-        lambda: hitchid.identify_many("logs"),
-        lambda: hitchid.identify_many([campaign, "logs"]),
+        *of(hitchid.identify, "logs"),
+        *of(hitchid.identify_many, "logs", [campaign, "logs"]),
+        *of(hitchid.cross_validate, "logs"),
         lambda: hitchid.validate(model, "logs"),
-        lambda: hitchid.cross_validate("logs"),
         lambda: compare([model, model], "logs"),
     ],
     "a model as hitchid.load": [
+        *of(design, "model"),
         lambda: hitchid.validate("model", campaign),
-        lambda: compare([model, None], campaign),
-        lambda: compare(model, campaign),
-        lambda: design("model"),
+        *of(lambda models: compare(models, campaign), [model, None], model),
         lambda: simulate_log("model", logs, out),
         lambda: save("model", out),
     ],
     "there is no structure 'spring'; expected one of": [
-        lambda: hitchid.identify(campaign, structure={"lifting": "spring"}),
-        lambda: hitchid.identify(campaign, structure="spring"),
+        *of(lambda form: hitchid.identify(campaign, structure=form), {"lifting": "spring"}, "spring"),
     ],
     "search: expected one of whale, differential-evolution, multi-start": [
-        lambda: hitchid.identify(campaign, search="particles"),
-        lambda: hitchid.identify(campaign, search=3),
+        *of(lambda search: hitchid.identify(campaign, search=search), "particles", 3),
     ],
     "structure: expected": [lambda: hitchid.identify(campaign, structure=["integrator"])],
     "expected arguments": [
-        lambda: hitchid.identify(campaign, structures="integrator"),
-        lambda: hitchid.identify(campaign, epochs=10),
-        lambda: hitchid.identify(),
-        lambda: hitchid.identify_many(),
+        *using(partial(hitchid.identify, campaign), {"structures": "integrator"}, {"epochs": 10}),
+        *(hitchid.identify, hitchid.identify_many, hitchid.read, hitchid.load, model.save, model.simulate),
         lambda: hitchid.cross_validate(campaign, k=5),
-        lambda: hitchid.read(),
         lambda: hitchid.read(logs, sep=";"),
         lambda: hitchid.validate(campaign),
         lambda: hitchid.validate(model, campaign, horizon=10),
         lambda: hitchid.compare(campaign=campaign),
-        lambda: hitchid.load(),
         lambda: hitchid.load(folder, "r"),
         lambda: hitchid.save(model),
-        lambda: model.save(),
         lambda: model.save(out, overwrite=True),
-        lambda: model.simulate(),
         lambda: model.simulate(record, dt=0.01),
         lambda: model.predict(record, steps=10),
         lambda: model.with_parameters(gain=25),
         lambda: hitchid.export.to_c(model),
     ],
     "signal: expected one of displacement, lifting_command, lowering_command": [
-        lambda: record["position"],
-        lambda: record[0],
+        *of(record.__getitem__, "position", 0),
     ],
     "a record, a DataFrame, the path of a log, columns, or an array": [
-        lambda: model.simulate(campaign),
-        lambda: model.simulate(None),
-        lambda: model.simulate(model),
+        *of(model.simulate, campaign, None, model),
     ],
     "a record, a DataFrame, or the path of a log": [
-        lambda: model.predict(campaign),
-        lambda: model.band(3, horizon=1),
+        *of(model.predict, campaign), lambda: model.band(3, horizon=1),
     ],
-    "files and folders of logs, DataFrames, or records": [
-        lambda: hitchid.read([record, record.to_dataframe()]),
-        lambda: hitchid.read(None),
-        lambda: hitchid.read([3]),
-    ],
+    "files and folders of logs, DataFrames, or records": [*of(hitchid.read, [record, frame], None, [3])],
     "expected one record": [lambda: model.simulate(logs), lambda: model.predict(logs)],
-    "a mapping for DataFrames": [lambda: hitchid.read(record.to_dataframe(), signals="campaign.toml")],
+    "a mapping for DataFrames": [lambda: hitchid.read(frame, signals="campaign.toml")],
     "one of lifting, lowering, got str 'up'": [
         lambda: hitchid.identify(campaign, structure={"up": "integrator"}),
         lambda: hitchid.identify(campaign, dead_zones={"up": 0.1}),
-        lambda: record.command("up"),
-        lambda: campaign.segmented({"up": 0.1}),
-        lambda: campaign.plot(direction="up"),
-        lambda: model.plot_bode("up"),
-        lambda: model.plot_step_response("up"),
+        *of(record.command, "up"),
+        *of(campaign.segmented, {"up": 0.1}),
+        *using(campaign.plot, {"direction": "up"}),
+        *of(model.plot_bode, "up"),
+        *of(model.plot_step_response, "up"),
         lambda: write_campaign(out, directions=["up"]),
     ],
     "expected": [
-        lambda: hitchid.identify(campaign, structure={"lifting": 3}),
-        lambda: hitchid.identify(campaign, dead_zones={"lifting": [0.1]}),
-        lambda: hitchid.identify(campaign, training="none"),
-        lambda: hitchid.identify(campaign, rivals=3),
-        lambda: hitchid.identify(campaign, drift="yes"),
-        lambda: hitchid.identify(campaign, seed=-1),
-        lambda: hitchid.identify(campaign, seed=1.5),
-        lambda: hitchid.read(3),
-        lambda: hitchid.read([3]),
+        *using(
+            partial(hitchid.identify, campaign),
+            *({"structure": {"lifting": 3}}, {"dead_zones": {"lifting": [0.1]}}, {"training": "none"}),
+            *({"rivals": 3}, {"drift": "yes"}, {"seed": -1}, {"seed": 1.5}),
+        ),
+        *of(hitchid.read, 3, [3]),
         lambda: hitchid.read(logs, signals=3),
-        lambda: hitchid.load(None),
-        lambda: hitchid.Campaign.of("logs"),
+        *of(hitchid.load, None),
+        *of(hitchid.Campaign.of, "logs"),
         lambda: hitchid.Campaign.of([record], test_patterns="*"),
-        lambda: hitchid.Record("a", [0.01], signals, units),
-        lambda: hitchid.Record("a", "0.01", signals, units),
+        *of(lambda step_s: hitchid.Record("a", step_s, signals, units), [0.01], "0.01"),
         lambda: hitchid.Record("a", 0.01, [0.0], units),
         lambda: hitchid.Record("a", 0.01, {**signals, "displacement": ["x", "y", "z"]}, units),
         lambda: hitchid.Record("a", 0.01, signals, {}),
         lambda: hitchid.Record("a", 0.01, signals, units, kind="up"),
-        lambda: record.resample("1"),
-        lambda: record.trim("0"),
-        lambda: record.low_pass("5"),
-        lambda: record.decimate(2.5),
-        lambda: record.detrend(3),
-        lambda: campaign[2.5],
-        lambda: campaign[None],
-        lambda: hitchid.Record.from_dataframe(3),
-        lambda: hitchid.Record.from_dataframe(record.to_dataframe(), name=3),
-        lambda: hitchid.Record.from_dataframe(record.to_dataframe(), signals=3),
-        lambda: hitchid.Record.from_dataframe(record.to_dataframe(), units=3),
-        lambda: hitchid.Record.from_dataframe(record.to_dataframe(), units={"time_s": 3}),
-        lambda: hitchid.Campaign.from_dataframes(3),
-        lambda: hitchid.Campaign.from_dataframes([record.to_dataframe()], kinds=3),
-        lambda: record.convert(["mm"]),
-        lambda: model.simulate(record.to_dataframe()[["time_s", "displacement_mm"]]),
-        lambda: model.simulate([[0.5], [0.5, 0.0]], step_s=0.01, initial=120.0),
-        lambda: model.simulate(np.zeros(5), step_s="1 ms", initial=120.0),
-        lambda: model.simulate(np.zeros(5), step_s=0.01, initial="120"),
-        lambda: model.simulate(np.zeros(5), step_s=0.01, initial=[120.0, "x"]),
-        lambda: model.simulate(np.zeros(5), step_s=0.01),
+        *of(record.resample, "1", 1e-12),
+        *of(record.trim, "0"),
+        *of(record.low_pass, "5"),
+        *of(record.decimate, 2.5),
+        *of(record.detrend, 3),
+        *of(record.convert, ["mm"]),
+        *of(campaign.__getitem__, 2.5, None, slice(None, None, 0), np.array(1)),
+        *of(from_frame, 3),
+        *using(partial(from_frame, frame), {"name": 3}, {"signals": 3}),
+        *using(partial(from_frame, frame), {"units": 3}, {"units": {"time_s": 3}}),
+        *of(frames, 3),
+        lambda: frames([frame], kinds=3),
+        *of(model.simulate, frame[["time_s", "displacement_mm"]]),
+        *of(
+            lambda commands: model.simulate(commands, step_s=0.01, initial=120.0),
+            *([[0.5], [0.5, 0.0]], None, np.full(5, 1e300), np.ma.masked_array(np.ones(5), mask=True)),
+        ),
+        *using(
+            partial(model.simulate, np.zeros(5)),
+            *({"step_s": "1 ms", "initial": 120.0}, {"step_s": 0.01, "initial": "120"}),
+            *({"step_s": 0.01, "initial": [120.0, "x"]}, {"step_s": 0.01}),
+        ),
         lambda: model.simulate(record, initial=120.0, load=[1.0]),
-        lambda: model.simulate(None, step_s=0.01, initial=120.0),
-        lambda: model.simulate(np.full(5, 1e300), step_s=0.01, initial=120.0),
-        lambda: model.simulate(np.ma.masked_array(np.ones(5), mask=True), step_s=0.01, initial=120.0),
-        lambda: record.resample(1e-12),
-        lambda: campaign[::0],
-        lambda: campaign[np.array(1)],
-        lambda: model.with_parameters(lifting=np.ones(2)),
         lambda: model.speed([1.0, 2.0, 3.0], "lifting", displacement=[1.0, 2.0]),
-        lambda: model.predict(record, horizon="1"),
-        lambda: model.predict(record, horizon=0),
+        *of(lambda horizon: model.predict(record, horizon=horizon), "1", 0),
         lambda: model.predictions(record, ()),
-        lambda: model.simulate(record).band("0.9"),
+        *of(model.simulate(record).band, "0.9"),
         lambda: model.band(record, horizon=1.5),
-        lambda: model.command_thresholds("A"),
-        lambda: model.init_state("120"),
-        lambda: model.init_state([120.0]),
-        lambda: model.init_state(float("nan")),
-        lambda: model.step(state, 0.5),
-        lambda: model.step(state, [0.5]),
-        lambda: model.step(state, [0.5, 0.0, 120.0]),
-        lambda: model.step(state, jnp.zeros(3)),
-        lambda: model.step(state, np.zeros((1, 2))),
-        lambda: model.step(state, ["up", "down"]),
-        lambda: model.step(state, [0.5, 0.0], [120.0]),
-        lambda: model.step(state, [0.5, 0.0], "120"),
-        lambda: model.step(120.0, [0.5, 0.0]),
-        lambda: model.step(state._replace(numbers=state.numbers[1:]), [0.5, 0.0]),
+        *of(model.command_thresholds, "A"),
+        *of(model.init_state, "120", [120.0], float("nan")),
+        *of(
+            lambda commands: model.step(state, commands),
+            *(0.5, [0.5], [0.5, 0.0, 120.0], jnp.zeros(3), np.zeros((1, 2)), ["up", "down"]),
+        ),
+        *of(lambda measured: model.step(state, [0.5, 0.0], measured), [120.0], "120"),
+        *of(
+            lambda own: model.step(own, [0.5, 0.0]),
+            *(120.0, state._replace(numbers=state.numbers[1:])),
+        ),
         lambda: jax.jit(model.step)(state, jnp.zeros(3)),
-        lambda: model.unpack_state(120.0),
-        lambda: channel.batch("logs"),
-        lambda: model.to_scipy("lifting", "1 ms"),
-        lambda: model.to_scipy("lifting", 0.0),
-        lambda: model.to_control("lifting", [0.001]),
-        lambda: model.to_control("lifting", command="0.5"),
-        lambda: model.to_control("lifting", command=0.1),
-        lambda: model.speed("0.5", "lifting"),
-        lambda: model.speed([0.5, None], "lifting"),
+        *of(model.unpack_state, 120.0),
+        *of(channel.batch, "logs"),
+        *of(lambda step_s: model.to_scipy("lifting", step_s), "1 ms", 0.0),
+        *of(lambda step_s: model.to_control("lifting", step_s), [0.001]),
+        *of(lambda command: model.to_control("lifting", command=command), "0.5", 0.1),
+        *of(lambda commands: model.speed(commands, "lifting"), "0.5", [0.5, None]),
         lambda: model.speed(0.5, "lifting", load=100.0),
-        lambda: model.inverse_table("lifting", [-1.0]),
-        lambda: model.inverse_table("lifting", [[1.0]]),
-        lambda: model.inverse_table("lifting", 1.0).to_csv(3),
-        lambda: model.with_parameters(lifting=25),
-        lambda: model.with_parameters(lifting={"gain": "25"}),
-        lambda: model.with_parameters(lifting={"gain": 0}),
-        lambda: model.with_parameters(lifting={"gians": 25}),
+        *of(lambda speeds: model.inverse_table("lifting", speeds), [-1.0], [[1.0]]),
+        *of(model.inverse_table("lifting", 1.0).to_csv, 3),
+        *of(
+            lambda values: model.with_parameters(lifting=values),
+            *(25, {"gain": "25"}, {"gain": 0}, {"gians": 25}, np.ones(2)),
+        ),
         lambda: model.parameters["lifting", "gians"],
-        lambda: design(model, limits=3),
-        lambda: design(model, limits=ExcitationLimits(highest="1")),
+        *using(partial(design, model), {"limits": 3}, {"limits": ExcitationLimits(highest="1")}),
         lambda: design(model, "up"),
-        lambda: write_campaign(3),
+        *of(write_campaign, 3),
         lambda: write_campaign(out, 3),
-        lambda: write_campaign(out, tests=20),
-        lambda: write_campaign(out, tests={"prbs": "20"}),
+        *of(lambda tests: write_campaign(out, tests=tests), 20, {"prbs": "20"}),
         lambda: simulate_log(model, 3, out),
     ],
     "matplotlib axes, got": [
-        lambda: record.plot("axes"),
-        lambda: campaign.plot(3),
-        lambda: model.plot(3),
+        *of(record.plot, "axes"),
+        *of(campaign.plot, 3),
+        *of(model.plot, 3),
         lambda: model.plot_bode(axes=[record]),
         lambda: model.plot_step_response(commands=[0.5], axes=(1, 2, 3, 4)),
     ],
     "commands: expected": [
-        lambda: model.plot_step_response(),
-        lambda: model.plot_step_response(commands=[-0.5]),
-        lambda: model.plot_step_response(commands=["0.5"]),
+        *using(model.plot_step_response, {}, {"commands": [-0.5]}, {"commands": ["0.5"]}),
     ],
     "frequency_hz: expected": [
-        lambda: model.plot_bode(frequency_hz=[0.0]),
-        lambda: model.plot_bode(frequency_hz="1 Hz"),
+        *using(model.plot_bode, {"frequency_hz": [0.0]}, {"frequency_hz": "1 Hz"}),
     ],
     "unit 'millimetre' is not known; expected one of A, mA": [
         lambda: hitchid.Record("a", 0.01, signals, {**units, "displacement": "millimetre"}),
@@ -320,18 +290,18 @@ def surface(bench_folder, tmp_path_factory):
     return json.loads(done.stdout)
 
 
-def test_every_call_computes_in_double_precision_whatever_jax_is_set_to(surface):
+def test_every_call_computes_in_double_precision(surface):
     assert {name: apart for name, apart in surface["apart"].items() if apart > 1e-12} == {}
 
 
-def test_an_integrator_handed_over_has_its_pole_at_one_and_the_gain_of_its_step(surface):
+def test_an_integrator_handed_over_has_its_pole_at_one(surface):
     pole, step = surface["pole"]
     assert pole == [1.0]
     assert step == pytest.approx([60.0 * handmade.GAINS["lifting"]], rel=1e-15)
 
 
 @pytest.mark.parametrize(("whole", "known"), [(hitchid, "identify"), (handmade.hitch(), "simulate")])
-def test_a_name_that_is_not_there_is_answered_by_those_that_are(whole, known):
+def test_an_unknown_name_is_answered_by_those_there_are(whole, known):
     with pytest.raises(AttributeError, match=f"no attribute 'fit'; expected one of .*{known}"):
         whole.fit  # noqa: B018
     assert not hasattr(whole, "fit")

@@ -64,7 +64,7 @@ def wheel(tmp_path_factory):
     return built
 
 
-def test_the_wheel_holds_every_file_of_the_package_and_nothing_else(wheel):
+def test_the_wheel_holds_the_package_and_nothing_else(wheel):
     names = set(ZipFile(wheel).namelist())
     packaged = {name for name in names if ".dist-info/" not in name}
     sources = {

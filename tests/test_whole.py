@@ -25,7 +25,7 @@ def result(model, campaign):
     return hitchid.validate(model, campaign)
 
 
-def test_five_lines_take_a_user_from_a_folder_to_a_validated_model(result):
+def test_five_lines_lead_from_a_folder_to_a_validated_model(result):
     assert set(result.metrics["channels"]) == {"lifting", "lowering"}
     for mode, channel in result.metrics["channels"].items():
         assert channel["tests"] == [f"{mode}-05"]
@@ -36,30 +36,30 @@ def test_five_lines_take_a_user_from_a_folder_to_a_validated_model(result):
     json.dumps(result.metrics, allow_nan=False)
 
 
-def test_one_seed_gives_one_model_whether_pieces_are_kept_or_not_and_loaded_it_gives_the_same_numbers(
+def test_one_seed_gives_one_model_kept_in_pieces_or_loaded(
     identified, model, campaign, quick_settings, tmp_path
 ):
-    found = hitchid.identify(campaign, **quick_settings)
-    found.save(tmp_path / "model")
+    identification = hitchid.identify(campaign, **quick_settings)
+    identification.save(tmp_path / "model")
     for path in (identified / "model").iterdir():
         assert path.read_bytes() == (tmp_path / "model" / path.name).read_bytes(), path.name
     for record in campaign.records[:1] + campaign.records[-1:]:
         np.testing.assert_array_equal(
-            model.simulate(record).displacement, found.model.simulate(record).displacement
+            model.simulate(record).displacement, identification.model.simulate(record).displacement
         )
         np.testing.assert_array_equal(
-            model.predict(record, horizon=3), found.model.predict(record, horizon=3)
+            model.predict(record, horizon=3), identification.model.predict(record, horizon=3)
         )
 
 
 def test_the_speed_of_every_identification_test_is_reported(model, campaign, result):
     metrics = result.metrics["channels"]
     for direction, uncertainty in model.uncertainty.items():
-        found = uncertainty.load_scatter
+        spread = uncertainty.load_scatter
         names = [record.name for record in campaign.identification(direction)]
-        assert [test.test for test in found.tests] == names
+        assert [test.test for test in spread.tests] == names
         assert list(metrics[direction]["load_scatter"]["tests"]) == names
-        assert 0.0 <= found.scatter <= found.interval[1]
+        assert 0.0 <= spread.scatter <= spread.interval[1]
 
 
 PUBLIC = [

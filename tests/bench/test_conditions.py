@@ -39,7 +39,7 @@ def test_oil_that_a_consumer_takes_does_not_lift(campaign):
     assert travel["lifting-01-1300kg-5C-12lpm"] < travel["lifting-01-1300kg-5C-0lpm"]
 
 
-def test_without_conditions_there_is_one_and_the_rig_stays_as_it_is():
+def test_without_conditions_the_rig_stays_as_it_is():
     (condition,) = Conditions().of(RIG)
     assert condition.name == "1000kg-40C"
     assert float(condition.rig.supply.pump_flow) == pytest.approx(float(RIG.supply.pump_flow), rel=1e-12)

@@ -7,7 +7,7 @@ import numpy as np
 POSITIONS = np.linspace(0.0, 0.25, 26)
 
 
-def test_the_cylinder_is_as_long_as_the_distance_between_its_eyes(any_rig):
+def test_the_cylinder_reaches_from_eye_to_eye(any_rig):
     linkage = any_rig.linkage
     gamma = np.asarray(linkage.sensor_angle(jnp.asarray(POSITIONS))) + float(linkage.sensor_offset)
     eye = float(linkage.cylinder_arm) * np.stack([np.cos(gamma), np.sin(gamma)])

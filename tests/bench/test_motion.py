@@ -155,17 +155,17 @@ def test_derivatives_by_parameters_are_finite_differences(rig, held):
     np.testing.assert_allclose(jax.jvp(end, (area,), (jnp.ones_like(area),))[1], slope, rtol=1e-4)
 
 
-def test_misuse_is_refused(rig, held):
-    currents = held([0.5], 0.0)
-    with pytest.raises(InputError, match=r"got shape \(1001, 2\)"):
-        simulate(rig, currents[0], initial_displacement_m=0.1)
-    with pytest.raises(InputError, match=r"initial_displacement_m: .*0\.3.*0 to 0\.25"):
-        simulate(rig, currents, initial_displacement_m=0.3)
-    with pytest.raises(InputError, match=r"currents: got -0\.5"):
-        simulate(rig, -currents, initial_displacement_m=0.1)
-    with pytest.raises(InputError, match="load_force_n: got shape"):
-        simulate(rig, currents, initial_displacement_m=0.1, load_force_n=np.zeros(7))
-    with pytest.raises(InputError, match=r"oil_temperature_c: .*finite"):
-        simulate(rig, currents, initial_displacement_m=0.1, oil_temperature_c=np.nan)
-    with pytest.raises(InputError, match="substeps: got 0"):
-        simulate(rig, currents, initial_displacement_m=0.1, substeps=0)
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"currents": np.zeros((1001, 2))}, r"got shape \(1001, 2\)"),
+        ({"currents": np.full((1, 9, 2), -0.5)}, r"currents: got -0\.5"),
+        ({"initial_displacement_m": 0.3}, r"initial_displacement_m: .*0\.3.*0 to 0\.25"),
+        ({"load_force_n": np.zeros(7)}, "load_force_n: got shape"),
+        ({"oil_temperature_c": np.nan}, r"oil_temperature_c: .*finite"),
+        ({"substeps": 0}, "substeps: got 0"),
+    ],
+)
+def test_misuse_is_refused(rig, changed, said):
+    with pytest.raises(InputError, match=said):
+        simulate(rig, **{"currents": np.zeros((1, 9, 2)), "initial_displacement_m": 0.1, **changed})

@@ -49,12 +49,7 @@ def test_parameters_are_double_whatever_the_caller_is_set_to(rig):
     ("table", "key", "entry", "said"),
     [
         ("lifting_valve", "full_area", {"value": -3.0, "unit": "mm2"}, ["got -3 mm2", "expected 1e-09 to"]),
-        (
-            "cylinder",
-            "bore",
-            {"value": 70, "unit": "bar"},
-            ["got 70 bar", "expected a unit among m, cm, mm"],
-        ),
+        ("cylinder", "bore", {"value": 70, "unit": "bar"}, ["got 70 bar", "expected a unit among m, cm, mm"]),
         ("cylinder", "bore", {"value": 70, "unit": "furlong"}, ["got 70 furlong", "expected a unit"]),
         ("cylinder", "bore", {"value": "wide", "unit": "m"}, ["got 'wide'"]),
         ("cylinder", "bore", {"value": float("nan"), "unit": "m"}, ["got nan"]),

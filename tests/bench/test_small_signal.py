@@ -47,7 +47,7 @@ def _response(rig, motion, row: int, omega: float, time_s: np.ndarray) -> comple
     valve = rig.lifting_valve
     displacement = np.asarray(motion.displacement_m)[row, late]
     current = np.asarray(motion.lifting_spool)[row, late] * float(valve.spool.saturation)
-    found = 1e3 * phasor(displacement, omega, time_s[late]) / phasor(current, omega, time_s[late])
+    response = 1e3 * phasor(displacement, omega, time_s[late]) / phasor(current, omega, time_s[late])
     chain = small_signal(rig, OperatingPoint(float(np.mean(displacement)), CURRENT_A))
     s = 1j * omega
     lagged = (s / chain.natural_frequency) ** 2 + 2 * chain.damping_ratio * s / chain.natural_frequency + 1
@@ -56,7 +56,7 @@ def _response(rig, motion, row: int, omega: float, time_s: np.ndarray) -> comple
     share = float(valve.metering_drop(opening)) / (drop - float(valve.check_pressure))
     lag = float(valve.compensator_lag) * s
     # the metering edge acts at once on its share of the pressure drop, the compensator later on the rest
-    return found / (chain.gain / (s * lagged) * (1 + share * lag) / (1 + lag))
+    return response / (chain.gain / (s * lagged) * (1 + share * lag) / (1 + lag))
 
 
 def test_small_motions_of_lowering_follow_theirs(linear_rig):
@@ -70,11 +70,11 @@ def test_small_motions_of_lowering_follow_theirs(linear_rig):
     for row, omega in enumerate(omegas):
         displacement = np.asarray(motion.displacement_m)[row, late]
         current = saturation * np.asarray(motion.lowering_spool)[row, late]
-        found = -1e3 * phasor(displacement, omega, time_s[late]) / phasor(current, omega, time_s[late])
+        response = -1e3 * phasor(displacement, omega, time_s[late]) / phasor(current, omega, time_s[late])
         chain = lowering_small_signal(linear_rig, OperatingPoint(float(np.mean(displacement)), CURRENT_A))
         s = 1j * omega
         lagged = (s / chain.natural_frequency) ** 2 + 2 * chain.damping_ratio * s / chain.natural_frequency
-        assert abs(found / (chain.gain / (s * (lagged + 1))) - 1) < 0.05
+        assert abs(response / (chain.gain / (s * (lagged + 1))) - 1) < 0.05
 
 
 def test_gain_is_the_slope_of_steady_speed(linear_rig):

@@ -58,7 +58,7 @@ def currents(binary):
     return rows
 
 
-def test_a_run_by_single_steps_is_that_of_the_whole_test(any_rig, currents):
+def test_single_steps_give_the_run_of_the_whole_test(any_rig, currents):
     """Both evaluate the same sums; rounding grows by the stiffness of the stops and of the oil."""
     rig = noiseless(any_rig)
     force = np.linspace(0.0, 800.0, len(currents))
@@ -70,8 +70,8 @@ def test_a_run_by_single_steps_is_that_of_the_whole_test(any_rig, currents):
     )
     # One step of the converter may fall to either side.
     step_mm = 1e3 * 0.25 * float(rig.sensors.angle_range) / 2 ** float(rig.sensors.converter_bits)
-    found = np.asarray(measured.displacement_mm)[:-1]
-    np.testing.assert_allclose(found, whole["displacement_mm"][0], rtol=0, atol=4 * step_mm)
+    stepped_mm = np.asarray(measured.displacement_mm)[:-1]
+    np.testing.assert_allclose(stepped_mm, whole["displacement_mm"][0], rtol=0, atol=4 * step_mm)
     np.testing.assert_allclose(measured.time_s[:-1], whole["time_s"][0], rtol=0, atol=1e-12)
     # The log's currents are those at the end of their own 10 ms.
     logged = np.stack([whole["current_up_A"][0], whole["current_down_A"][0]], axis=-1)
@@ -88,25 +88,14 @@ def test_seeds_give_the_noise(rig, currents):
 def test_no_oil_is_made_or_lost_where_the_rig_changes(rig, currents):
     """An implement taken up, oil that warms, a valve and a piston that wear, a pump that slows down."""
 
+    def parts(rig):
+        worn = (rig.cylinder.leakage, rig.lowering_valve.spool.dead_zone)
+        return (rig.linkage.implement_mass, rig.oil.temperature, *worn, rig.supply.pump_flow)
+
     def changed(rig, time_s):
-        late = time_s > 3.0
-        return eqx.tree_at(
-            lambda r: (
-                r.linkage.implement_mass,
-                r.oil.temperature,
-                r.cylinder.leakage,
-                r.lowering_valve.spool.dead_zone,
-                r.supply.pump_flow,
-            ),
-            rig,
-            (
-                rig.linkage.implement_mass * jnp.where(late, 1.3, 1.0),
-                rig.oil.temperature + 5.0 * time_s,
-                rig.cylinder.leakage * jnp.where(late, 3.0, 1.0),
-                rig.lowering_valve.spool.dead_zone + jnp.where(late, 0.03, 0.0),
-                rig.supply.pump_flow * jnp.where(late, 0.8, 1.0),
-            ),
-        )
+        factors = jnp.where(time_s > 3.0, jnp.array([1.3, 1.0, 3.0, 1.1, 0.8]), 1.0)
+        mass, temperature, *others = (factor * part for factor, part in zip(factors, parts(rig), strict=True))
+        return eqx.tree_at(parts, rig, (mass, temperature + 5.0 * time_s, *others))
 
     plant = run(rig, currents, changed=changed)[0].plant
     held = rig.oil.amount(
@@ -145,8 +134,8 @@ def test_a_sensor_that_sticks_jumps_or_drops_out(rig, currents):
 @pytest.mark.parametrize("current", [np.nan, np.inf, -1.0])
 def test_a_current_that_is_no_number_or_negative_is_none(rig, current):
     still = run(rig, np.zeros((100, 2)))[0].plant.displacement
-    found = run(rig, np.full((100, 2), current))[0].plant.displacement
-    np.testing.assert_array_equal(found, still)
+    driven = run(rig, np.full((100, 2), current))[0].plant.displacement
+    np.testing.assert_array_equal(driven, still)
 
 
 def test_what_the_bench_cannot_do_is_refused(rig):

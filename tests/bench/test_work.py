@@ -34,7 +34,7 @@ def test_strokes_end_where_they_should(at_work):
 
 def test_a_lighter_implement_is_lowered_more_slowly(at_work):
     light = work(RIG, COMMANDS, duration_s=DURATION_S, seed=3, implement_kg=450.0)
-    fastest = [np.diff(each.truth).min() for each in (at_work, light)]
+    fastest = [np.diff(run.truth).min() for run in (at_work, light)]
     assert fastest[0] < fastest[1] < 0
 
 

@@ -6,15 +6,13 @@ import shutil
 import subprocess
 import sys
 import zipfile
-from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from importlib.metadata import version
-from io import StringIO
-from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from commands import hitchid
 
 import benches
 import handmade
@@ -39,35 +37,6 @@ baselines = false
 FIGURES = {"rmse", "mae", "r2", "fit", "max_abs", "within_1", "rmse_error"}
 
 
-class Result(NamedTuple):
-    """What a run of the program left behind."""
-
-    code: int
-    out: str
-    err: str
-
-
-def hitchid(*arguments, heard="") -> Result:
-    """Run the program with arguments, as its entry point does, and what it hears on standard input."""
-    out, err, code = StringIO(), StringIO(), 0
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
-        patch.setattr(sys, "argv", ["hitchid", *map(str, arguments)])
-        patch.setattr(sys, "stdin", StringIO(heard))
-        try:
-            cli.main()
-        except SystemExit as done:
-            code = done.code
-    return Result(code, out.getvalue(), err.getvalue())
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _cache(tmp_path_factory):
-    """Keep what JAX compiles out of the user's cache."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
     """Return the folder of a model with every part, put together by hand."""
@@ -86,23 +55,18 @@ def logs(bench_folder, tmp_path):
 def refused(tmp_path):
     """Return a function that runs the program and checks that it refuses in one line, without a trace."""
 
-    def run(*arguments, said, front="hitchid: ") -> None:
-        before = times(tmp_path)
+    def written() -> dict:
+        return {path: path.lstat().st_mtime_ns for path in tmp_path.rglob("*")}
+
+    def run(*arguments, said) -> None:
+        before = written()
         result = hitchid(*arguments)
-        assert result.code == 2
-        assert len(result.err.splitlines()) == 1
-        assert result.err.startswith(front)
-        assert "Traceback" not in result.err
-        for word in said:
-            assert word in result.err
-        assert times(tmp_path) == before
+        assert (result.code, len(result.err.splitlines())) == (2, 1)
+        assert result.err.startswith("hitchid: ")
+        assert [word for word in said if word not in result.err] == [], result.err
+        assert written() == before
 
     return run
-
-
-def times(folder):
-    """Return everything in a folder and when it was last written."""
-    return {path: path.lstat().st_mtime_ns for path in folder.rglob("*")}
 
 
 # --- help ---------------------------------------------------------------------------------------------------
@@ -116,40 +80,37 @@ def test_the_help_of_every_command_has_an_example_of_it(command):
     assert f" hitchid {command} " in example
 
 
-def test_the_help_names_every_command():
+def test_the_help_names_every_command_and_has_a_short_option():
     result = hitchid("--help")
     assert result.code == 0
     assert all(f"  {command}" in result.out for command in COMMANDS)
     assert {"inspect", "identify", "validate", "simulate"} <= set(COMMANDS)
-
-
-@pytest.mark.parametrize("command", [[], ["inspect"], ["identify"], ["compare"]])
-def test_help_has_a_short_option(command):
-    assert hitchid(*command, "-h") == hitchid(*command, "--help")
+    for command in ([], ["identify"]):
+        assert hitchid(*command, "-h") == hitchid(*command, "--help")
 
 
 def test_the_version_is_that_of_the_package():
     assert hitchid("--version") == (0, f"hitchid {version('hitchid')}\n", "")
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["identify", "--help"]])
-def test_help_imports_no_jax(arguments):
+@pytest.mark.parametrize("arguments", [["--help"], ["identify", "--help"]])
+def test_help_imports_neither_jax_nor_numpy(arguments):
     program = (
         f"import sys; sys.argv[1:] = {arguments!r}\n"
         "from hitchid.cli import main\n"
         "try: main()\n"
-        "except SystemExit as done: print('imported:', 'jax' in sys.modules, done.code)"
+        "except SystemExit as done: print('imported:', {'jax', 'numpy'} & set(sys.modules), done.code)"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)  # noqa: S603
-    assert ("Usage: " in done.stdout) == (arguments != ["--version"])
-    assert done.stdout.endswith("imported: False 0\n")
+    assert "Usage: " in done.stdout
+    assert done.stdout.endswith("imported: set() 0\n")
 
 
 @pytest.mark.parametrize(
     "arguments",
     [[], ["nonsense"], ["inspect"], ["identify", "logs"], ["simulate", "--foo"], ["inspect", "--json"]],
 )
-def test_wrong_use_is_answered_with_the_usage_and_exit_code_2(arguments):
+def test_wrong_use_is_answered_with_the_usage(arguments):
     result = hitchid(*arguments)
     assert result.code == 2
     assert "Usage: hitchid" in result.err
@@ -181,67 +142,38 @@ def every_cell(column, text, rows=slice(1, None)):
     return edit
 
 
+# What readers say of broken logs is proved in tests/logs; here, that every command says it in one line.
 BAD_LOGS = {
     "a missing column": (cell(0, 3, "height_mm"), ["line 1", "'displacement_mm'", "height_mm"]),
     "text in many numbers": (
         every_cell(3, "4x2", slice(5, 9)),
         ["line 6", "'displacement_mm'", "number", "'4x2'"],
     ),
-    "no number": (every_cell(3, "nan"), ["'displacement_mm'", "holds no numbers"]),
     "a constant displacement": (every_cell(3, "5.0"), ["constant", "5 mm", "check"]),
     "time that runs back": (cell(9, 0, "0.01"), ["line 10", "'time_s'", "must not decrease", "0.01 s"]),
     "time that stands still": (every_cell(0, "0.07"), ["line 3", "'time_s'", "time stamps are 0.07 s"]),
     "an empty file": (lambda lines: [], ["empty", "expected"]),
-    "a header only": (lambda lines: lines[:1], ["line 1", "no samples"]),
     "five samples": (lambda lines: lines[:6], ["5 samples", "at least 20"]),
     "binary garbage": (lambda lines: ["\udcff\udc80" * 99], ["UTF-8"]),
-    "a quote never closed": (cell(5, 1, '"0.5'), ["line", "expected"]),
 }
 
 
-@pytest.fixture(params=BAD_LOGS.values(), ids=BAD_LOGS.keys())
-def bad_log(request, logs):
-    """Return a log that cannot be used, beside others that can, and what must be said of it."""
-    edit, said = request.param
-    path = logs / "lifting-02.csv"
-    text = "\n".join([*edit(path.read_text().splitlines()), ""])
-    path.write_bytes(text.encode("utf-8", errors="surrogateescape"))
-    return path, [path.name, *said]
-
-
-def test_identify_refuses_a_bad_log(refused, bad_log, tmp_path):
-    log, said = bad_log
-    refused("identify", log.parent, "--out", tmp_path / "out", "--strict", said=said)
-
-
-def test_simulate_refuses_a_bad_log(refused, bad_log, model, tmp_path):
-    log, said = bad_log
+@pytest.mark.parametrize(("edit", "said"), BAD_LOGS.values(), ids=BAD_LOGS)
+def test_a_bad_log_is_refused_by_every_command(refused, logs, model, tmp_path, edit, said):
+    log = logs / "lifting-02.csv"
+    text = "\n".join([*edit(log.read_text().splitlines()), ""])
+    log.write_bytes(text.encode("utf-8", errors="surrogateescape"))
+    said = [log.name, *said]
+    refused("identify", logs, "--out", tmp_path / "out", "--strict", said=said)
     refused("simulate", model, log, "--out", tmp_path / "out.csv", said=said)
+    shown = hitchid("inspect", logs, "--strict")
+    assert (shown.code, len(shown.err.splitlines())) == (2, 1)
+    assert shown.err.startswith("fault: ")
+    assert all(word in shown.err for word in said)
+    assert "lowering-03" in shown.out  # the other logs
 
 
-def test_inspect_shows_the_other_logs_and_says_which_is_bad(bad_log):
-    log, said = bad_log
-    result = hitchid("inspect", log.parent, "--strict")
-    assert result.code == 2
-    assert len(result.err.splitlines()) == 1
-    assert result.err.startswith("fault: ")
-    assert all(word in result.err for word in said)
-    assert "lowering-03" in result.out
-
-
-HOLES = {
-    "text in a number": (cell(5, 3, "n/a"), "displacement", "1 of 250", "line 6", 250),
-    "an empty cell": (cell(5, 1, ""), "lifting_command", "1 of 250", "line 6", 250),
-    "an infinite command": (cell(9, 1, "1e999"), "lifting_command", "1 of 250", "line 10", 250),
-    # Without the four samples before it, fewer than a record has.
-    "a stretch of nan": (every_cell(3, "nan", slice(5, 25)), "displacement", "20 of 250", "line 6", 226),
-}
-
-
-@pytest.mark.parametrize(("edit", "signal", "missing", "first", "samples"), HOLES.values(), ids=HOLES.keys())
-def test_samples_without_a_number_are_named_and_no_other_is_lost(
-    logs, model, tmp_path, edit, signal, missing, first, samples
-):
+def test_samples_without_a_number_are_named_and_alone_lost(logs, model, tmp_path):
     path, out = logs / "lifting-02.csv", tmp_path / "out.csv"
 
     def predicted():
@@ -251,22 +183,18 @@ def test_samples_without_a_number_are_named_and_no_other_is_lost(
             cells = [row["displacement_predicted_mm"] for row in csv.DictReader(file)]
         return np.array([float(cell or "nan") for cell in cells]), result.err
 
-    whole, said = predicted()
-    assert "left out" not in said
-    path.write_text("\n".join([*edit(path.read_text().splitlines()), ""]))
-    found = json.loads(hitchid("inspect", logs, "--strict", "--json").out)
-    (record,) = (each for each in found["records"] if each["name"] == "lifting-02")
-    assert record["samples"] == samples
-    (finding,) = (each for each in found["findings"] if each["check"] == "not measured")
-    assert (finding["level"], finding["records"], finding["signal"]) == ("warning", ["lifting-02"], signal)
-    assert f"{missing} samples are left out, the first in {first}: they hold no number" in finding["what"]
-    cells, said = predicted()
-    assert f"notice: {signal}: {missing} samples are left out, the first in {first}" in said
-    assert f"out.csv: {samples} samples" in said
-    assert np.count_nonzero(np.isfinite(cells)) == samples
-    if samples == 250:
-        # At rest the held command is the one that is missing, the displacement within its noise of 0.02 mm.
-        np.testing.assert_allclose(cells, whole, rtol=0, atol=0.1 if signal == "displacement" else 0)
+    whole, messages = predicted()
+    assert "left out" not in messages
+    path.write_text("\n".join([*cell(5, 1, "")(path.read_text().splitlines()), ""]))
+    content = json.loads(hitchid("inspect", logs, "--strict", "--json").out)
+    (finding,) = (each for each in content["findings"] if each["check"] == "not measured")
+    assert (finding["level"], finding["records"]) == ("warning", ["lifting-02"])
+    assert finding["signal"] == "lifting_command"
+    left_out = "1 of 250 samples are left out, the first in line 6"
+    assert f"{left_out}: they hold no number" in finding["what"]
+    cells, messages = predicted()
+    assert f"notice: lifting_command: {left_out}" in messages
+    np.testing.assert_array_equal(cells, whole)  # at rest the command before it is the one that is missing
 
 
 def test_inspect_leaves_a_bad_log_out_and_counts(logs):
@@ -288,48 +216,35 @@ def test_inspect_leaves_a_bad_log_out_and_counts(logs):
     ],
     ids=["missing", "unknown ending", "empty folder", "symlink loop", "endless name"],
 )
-@pytest.mark.parametrize("command", ["inspect", "identify", "validate"])
-def test_a_path_that_is_no_log_is_refused(refused, tmp_path, model, command, name, said):
+def test_a_path_that_is_no_log_is_refused(refused, tmp_path, model, name, said):
     (tmp_path / "notes.md").write_text("no log")
     (tmp_path / "empty").mkdir()
     (tmp_path / "loop.csv").symlink_to("loop.csv")
-    paths = [model, tmp_path / name] if command == "validate" else [tmp_path / name]
-    out = [] if command == "inspect" else ["--out", tmp_path / "out"]
-    refused(command, *paths, *out, said=said)
+    log, out = tmp_path / name, ("--out", tmp_path / "out")
+    for arguments in (("inspect", log), ("identify", log, *out), ("validate", model, log, *out)):
+        refused(*arguments, said=said)
 
 
 # --- settings that cannot be used ---------------------------------------------------------------------------
 
-SIGNED = '[signals]\ncommand = "current_up_A"\n'
 BAD_CAMPAIGNS = {
-    "a misspelt key": (SIGNED + 'displacment = "x_mm"', ["'signals.displacment'", "not known"]),
-    "a unit nobody knows": (
-        SIGNED + 'time = { column = "time_s", unit = "sec" }',
-        ["time.unit", "'sec'", "ms"],
-    ),
-    "a unit of another dimension": (
-        SIGNED + 'time = { column = "time_s", unit = "mm" }',
-        ["time", "'mm'", "length", "one of time"],
-    ),
-    "both kinds of command": (SIGNED + 'lifting_command = "current_up_A"', ["signals", "not both"]),
+    "a misspelt key": ('[signals]\ndisplacment = "x_mm"', ["'signals.displacment'", "not known"]),
     "no TOML": ("[signals\n", ["not valid TOML", "line 1"]),
     "a kind of test nobody knows": ('[tests]\n"lifting-*" = "up"', ["'tests.lifting-*'", "'ramp'", "'up'"]),
 }
 
 
-@pytest.mark.parametrize(("text", "said"), BAD_CAMPAIGNS.values(), ids=BAD_CAMPAIGNS.keys())
-@pytest.mark.parametrize("command", ["inspect", "identify"])
-def test_a_campaign_file_that_is_not_understood_is_refused(refused, logs, tmp_path, command, text, said):
+@pytest.mark.parametrize(("text", "said"), BAD_CAMPAIGNS.values(), ids=BAD_CAMPAIGNS)
+def test_a_campaign_file_that_is_not_understood_is_refused(refused, logs, tmp_path, text, said):
     (logs / "campaign.toml").write_text(text)
-    out = [] if command == "inspect" else ["--out", tmp_path / "out"]
-    refused(command, logs, *out, said=["campaign.toml", *said])
+    for arguments in (("inspect", logs), ("identify", logs, "--out", tmp_path / "out")):
+        refused(*arguments, said=["campaign.toml", *said])
 
 
 def test_a_split_that_matches_nothing_is_refused(refused, logs, tmp_path):
     (logs / "campaign.toml").write_text('[split]\ntest = ["lifting-9*"]')
-    refused(
-        "identify", logs, "--quiet", "--out", tmp_path / "out", said=["split.test", "'lifting-9*'", "6 tests"]
-    )
+    arguments = ("identify", logs, "--quiet", "--out", tmp_path / "out")
+    refused(*arguments, said=["split.test", "'lifting-9*'", "6 tests"])
 
 
 BAD_CONFIGS = {
@@ -357,30 +272,23 @@ BAD_CONFIGS = {
 }
 
 
-@pytest.mark.parametrize(("text", "said"), BAD_CONFIGS.values(), ids=BAD_CONFIGS.keys())
-def test_settings_that_are_not_understood_are_refused(refused, logs, tmp_path, text, said):
-    (tmp_path / "settings.toml").write_text(text)
-    refused(
-        "identify",
-        logs,
-        "--out",
-        tmp_path / "out",
-        "--config",
-        tmp_path / "settings.toml",
-        said=["settings.toml", *said],
-    )
+@pytest.mark.parametrize(("text", "said"), BAD_CONFIGS.values(), ids=BAD_CONFIGS)
+def test_settings_that_are_not_understood_are_refused(refused, bench_folder, tmp_path, text, said):
+    file = tmp_path / "settings.toml"
+    file.write_text(text)
+    arguments = ("identify", bench_folder, "--out", tmp_path / "out", "--config", file)
+    refused(*arguments, said=["settings.toml", *said])
 
 
 @pytest.mark.parametrize("option", ["--config", "--signals"])
-def test_a_settings_file_that_is_not_there_is_refused(refused, logs, tmp_path, option):
-    refused("identify", logs, "--out", tmp_path / "out", option, tmp_path / "no.toml", said=["no.toml"])
+def test_a_settings_file_that_is_not_there_is_refused(refused, bench_folder, tmp_path, option):
+    arguments = ("identify", bench_folder, "--out", tmp_path / "out", option, tmp_path / "no.toml")
+    refused(*arguments, said=["no.toml"])
 
 
 @pytest.mark.parametrize("seed", ["-1", "x", str(10**20)])
-def test_a_seed_that_is_none_is_refused(logs, tmp_path, seed):
-    (tmp_path / "quick.toml").write_text(QUICK)
-    settings = ("--config", tmp_path / "quick.toml", f"--seed={seed}")
-    result = hitchid("identify", logs, "--out", tmp_path / "out", *settings)
+def test_a_seed_that_is_none_is_refused(bench_folder, tmp_path, seed):
+    result = hitchid("identify", bench_folder, "--out", tmp_path / "out", f"--seed={seed}")
     assert result.code == 2
     assert "seed" in result.err
     assert not (tmp_path / "out").exists()
@@ -402,26 +310,19 @@ def edited(file, old, new):
 
 def cut(file, keep):
     """Return an edit that cuts a file of a model folder short."""
-    return lambda folder: (folder / file).write_bytes((folder / file).read_bytes()[:keep]) and None
+    return lambda folder: (folder / file).write_bytes((folder / file).read_bytes()[:keep])
 
 
+# Every other damage is refused where models are read: tests/model/test_artifact.py.
 BAD_MODELS = {
     "no folder": (shutil.rmtree, ["model.json", "expected a model folder"]),
     "weights cut short": (cut("weights.safetensors", -10), ["weights.safetensors", "truncated", "expected"]),
-    "no weights": (lambda folder: (folder / "weights.safetensors").unlink(), ["weights.safetensors"]),
     "description edited": (
         edited("model.json", '"step_s": 0.01', '"step_s": 0.02'),
         ["model.json", "edited"],
     ),
-    "description without numbers": (edited("model.json", '"step_s": 0.01', '"step_s": NaN'), ["model.json"]),
-    "description with half a letter": (
-        edited("model.json", '"seed": 0', '"seed": "\\ud800"'),
-        ["model.json"],
-    ),
     "description cut short": (cut("model.json", 200), ["model.json", "truncated"]),
-    "description empty": (cut("model.json", 0), ["model.json", "truncated"]),
-    "description too deep": (lambda f: (f / "model.json").write_text("[" * 100_000) and None, ["model.json"]),
-    "description of something else": (lambda f: (f / "model.json").write_text("{}") and None, ["model.json"]),
+    "description too deep": (lambda f: (f / "model.json").write_text("[" * 100_000), ["model.json"]),
     "trace edited": (edited("trace.json", "{", "{ "), ["trace.json", "edited"]),
     "a newer schema": (
         edited("model.json", '"schema": 13', '"schema": 14'),
@@ -430,7 +331,7 @@ BAD_MODELS = {
 }
 
 
-@pytest.mark.parametrize(("edit", "said"), BAD_MODELS.values(), ids=BAD_MODELS.keys())
+@pytest.mark.parametrize(("edit", "said"), BAD_MODELS.values(), ids=BAD_MODELS)
 def test_a_model_that_is_not_whole_is_refused(refused, bench_folder, model, tmp_path, edit, said):
     folder = shutil.copytree(model, tmp_path / "model")
     edit(folder)
@@ -439,7 +340,7 @@ def test_a_model_that_is_not_whole_is_refused(refused, bench_folder, model, tmp_
     refused("validate", folder, log.parent, "--out", tmp_path / "out", said=said)
 
 
-def test_a_lowering_log_is_refused_by_a_model_that_only_lifts(refused, bench_folder, tmp_path):
+def test_a_model_that_only_lifts_refuses_lowering(refused, bench_folder, tmp_path):
     save(handmade.hitch("integrator", modes=("lifting",)), tmp_path / "model")
     log = bench_folder / "lowering-01.csv"
     refused("simulate", tmp_path / "model", log, "--out", tmp_path / "out.csv", said=["lowering"])
@@ -455,19 +356,15 @@ def test_a_horizon_that_is_none_is_refused(refused, bench_folder, model, tmp_pat
 # --- places that are taken ----------------------------------------------------------------------------------
 
 
-def to_folder(command, model, logs, out):
-    return (command, *([model] if command == "validate" else []), logs, "--out", out)
-
-
-@pytest.mark.parametrize("command", ["identify", "validate"])
-def test_a_place_that_is_taken_is_left_alone(refused, bench_folder, model, tmp_path, command):
+def test_a_place_that_is_taken_is_left_alone(refused, bench_folder, model, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     (out / "precious").write_text("mine")
-    arguments = to_folder(command, model, bench_folder, out)
-    refused(*arguments, said=["out", "exists already", "--force"])
-    refused(*arguments, "--force", said=["out", "--force does not replace it"])
-    refused(*arguments[:-1], out / "precious", "--force", said=["precious", "--force does not replace it"])
+    for arguments in (("identify", bench_folder), ("validate", model, bench_folder)):
+        refused(*arguments, "--out", out, said=["out", "exists already", "--force"])
+        refused(*arguments, "--out", out, "--force", said=["out", "--force does not replace it"])
+        file = out / "precious"
+        refused(*arguments, "--out", file, "--force", said=["precious", "--force does not replace it"])
 
 
 def test_a_file_that_is_there_is_left_alone(refused, bench_folder, model, tmp_path):
@@ -483,15 +380,13 @@ def test_a_file_that_is_there_is_left_alone(refused, bench_folder, model, tmp_pa
 
 
 def test_inspect_lists_every_log_and_prints_json_of_the_same(bench_folder):
-    table = hitchid("inspect", bench_folder)
-    assert (table.code, table.err) == (0, "")
-    described = hitchid("inspect", bench_folder, "--json")
-    assert (described.code, described.err) == (0, "")
-    found = json.loads(described.out)
-    assert set(found) == {"records", "notices", "faults", "left_out", "findings"}
+    table, described = (hitchid("inspect", bench_folder, *options) for options in ((), ("--json",)))
+    assert (table.code, table.err) == (described.code, described.err) == (0, "")
+    content = json.loads(described.out)
+    assert set(content) == {"records", "notices", "faults", "left_out", "findings"}
     names = [f"{mode}-{number:02d}" for mode in ("lifting", "lowering") for number in (1, 2, 3)]
-    assert [record["name"] for record in found["records"]] == names
-    assert [record["held_out"] for record in found["records"]] == [False, False, True] * 2
+    assert [record["name"] for record in content["records"]] == names
+    assert [record["held_out"] for record in content["records"]] == [False, False, True] * 2
     assert all(name in table.out for name in names)
 
 
@@ -499,9 +394,9 @@ def test_inspect_prints_json_of_what_is_bad_too(logs):
     (logs / "lifting-02.csv").write_text("")
     result = hitchid("inspect", logs, "--json", "--strict")
     assert (result.code, result.err) == (2, "")
-    found = json.loads(result.out)
-    assert len(found["records"]) == 5
-    assert "lifting-02.csv" in found["faults"][0]
+    content = json.loads(result.out)
+    assert len(content["records"]) == 5
+    assert "lifting-02.csv" in content["faults"][0]
     lenient = json.loads(hitchid("inspect", logs, "--json").out)
     assert [each["name"] for each in lenient["left_out"]] == ["lifting-02"]
     assert lenient["faults"] == []
@@ -536,7 +431,7 @@ def test_run_answers_every_line_with_one(tmp_path):
         "",
         '{"time_s": 0.02, "lifting_command": 0.5, "lowering_command": 0.0, "displacement": 100.1}',
     ]
-    result = hitchid("run", tmp_path / "model", heard="\n".join([*lines, ""]))
+    result = hitchid("run", tmp_path / "model", stdin="\n".join([*lines, ""]))
     assert (result.code, result.err) == (0, "ready\n")
     first, odd, blank, last = (json.loads(line) for line in result.out.splitlines())
     # A gain of 30 mm/(s A) moves the piston by 0.045 mm a sample at 0.15 A beyond the dead zone.
@@ -554,7 +449,7 @@ def test_run_answers_every_line_with_one(tmp_path):
 
 def test_run_starts_where_it_is_told_to(tmp_path):
     save(handmade.hitch("integrator"), tmp_path / "model")
-    result = hitchid("run", tmp_path / "model", "--initial", "50", heard="{}\n")
+    result = hitchid("run", tmp_path / "model", "--initial", "50", stdin="{}\n")
     assert json.loads(result.out)["displacement"] == 50.0
 
 
@@ -580,48 +475,13 @@ def test_simulate_writes_what_the_model_predicts(bench_folder, tmp_path, horizon
     assert again.code == 0
 
 
-def test_simulate_writes_the_ends_of_a_band_beside_the_prediction(bench_folder, tmp_path):
-    hitch = handmade.with_bands(handmade.hitch("integrator"), "lifting", "lowering")
-    save(hitch, tmp_path / "model")
-    log, out = bench_folder / "lowering-02.csv", tmp_path / "out.csv"
-    arguments = ("simulate", tmp_path / "model", log, "--out", out, "--bands", "--coverage", "80")
-    assert hitchid(*arguments).code == 0
-    (record,) = read(log).records
-    header, *rows = (line.split(",") for line in out.read_text().splitlines())
-    assert header[-3:] == ["displacement_predicted_mm", "displacement_lower_mm", "displacement_upper_mm"]
-    written = np.array([[float(cell) for cell in row[-2:]] for row in rows]).T
-    # Nine significant digits are written.
-    np.testing.assert_allclose(written, hitch.simulate(record).band(0.8), rtol=5e-9)
-
-
-def test_simulate_without_bands_in_the_model_says_why_and_writes_nothing(model, bench_folder, tmp_path):
-    out = tmp_path / "out.csv"
-    result = hitchid("simulate", model, bench_folder / "lowering-02.csv", "--out", out, "--bands")
-    assert result.code == 2
-    assert "no bands for lifting and lowering; identification needs at least three tests" in result.err
-    assert not out.exists()
-
-
-def test_design_of_a_model_that_knows_nothing_says_so_and_writes_nothing(model, tmp_path):
-    out = tmp_path / "next.csv"
-    result = hitchid("design", model, "--direction", "lifting", "--out", out)
-    assert result.code == 2
-    assert "got lifting" in result.err
-    assert not out.exists()
-
-
-def test_simulate_says_on_stderr_where_it_leaves_what_the_tests_covered(bench_folder, tmp_path):
+def test_simulate_says_where_it_leaves_the_identified_range(bench_folder, tmp_path):
     (record,) = read(bench_folder / "lifting-02.csv").records
     effective = np.maximum(record.command("lifting") - handmade.DEAD_ZONES["lifting"], 0)
     covered = handmade.envelope(command=(0.0, 0.05), displacement=(-50.0, 500.0))
     save(handmade.hitch("integrator", free_run=True, covered=covered), tmp_path / "model")
-    arguments = (
-        "simulate",
-        tmp_path / "model",
-        bench_folder / "lifting-02.csv",
-        "--out",
-        tmp_path / "out.csv",
-    )
+    log, out = bench_folder / "lifting-02.csv", tmp_path / "out.csv"
+    arguments = ("simulate", tmp_path / "model", log, "--out", out)
     result = hitchid(*arguments)
     assert (result.code, result.out) == (0, "")
     samples = np.count_nonzero(effective > 0.05)
@@ -629,32 +489,37 @@ def test_simulate_says_on_stderr_where_it_leaves_what_the_tests_covered(bench_fo
     assert result.err == (
         "notice: lifting: the command is outside the identified range, 0 to 0.05 A beyond the dead zone, "
         f"in {samples} of {len(record)} samples\n"
-        f"{tmp_path / 'out.csv'}: {len(record)} samples, displacement predicted in mm\n"
+        f"{out}: {len(record)} samples, displacement predicted in mm\n"
     )
     ahead = hitchid(*arguments, "--force", "--horizon", "3")
     assert ahead.code == 0
     assert "notice" not in ahead.err
 
 
-@pytest.mark.parametrize("bands", [False, True])
-def test_simulate_takes_commands_alone_with_an_initial_displacement(tmp_path, bands):
+def write_commands(path, commands):
+    """Write a log of commands alone."""
+    rows = [f"{0.01 * number:.2f},{up},{down}" for number, (up, down) in enumerate(commands)]
+    path.write_text("\n".join(["time_s,current_up_A,current_down_A", *rows, ""]))
+    return path
+
+
+def test_simulate_takes_commands_alone_and_writes_prediction_and_band(tmp_path):
     hitch = handmade.with_bands(handmade.hitch("integrator"), "lifting", "lowering")
     save(hitch, tmp_path / "model")
     commands = np.zeros((60, 2))
     commands[10:40, 0] = 0.8
-    rows = [f"{0.01 * number:.2f},{up},{down}" for number, (up, down) in enumerate(commands.tolist())]
-    text = "\n".join(["time_s,current_up_A,current_down_A", *rows, ""])
-    (tmp_path / "commands.csv").write_text(text)
-    out = tmp_path / "out.csv"
-    arguments = ("simulate", tmp_path / "model", tmp_path / "commands.csv", "--initial", "120", "--out", out)
-    result = hitchid(*arguments, *(("--bands",) if bands else ()))
+    log, out = write_commands(tmp_path / "commands.csv", commands.tolist()), tmp_path / "out.csv"
+    arguments = ("simulate", tmp_path / "model", log, "--initial", "120", "--out", out)
+    result = hitchid(*arguments, "--bands", "--coverage", "80")
     assert result == (0, "", f"{out}: 60 samples, displacement predicted in mm\n")
     header, *written = (line.split(",") for line in out.read_text().splitlines())
-    added = [f"displacement_{kind}_mm" for kind in ("predicted", "lower", "upper")[: 3 if bands else 1]]
+    added = [f"displacement_{kind}_mm" for kind in ("predicted", "lower", "upper")]
     assert header == ["time_s", "current_up_A", "current_down_A", *added]
     run = hitch.simulate(commands, step_s=0.01, initial=120.0)
-    expected = [run.displacement, *(run.band(0.9) if bands else ())]
-    np.testing.assert_allclose(np.array(written, float)[:, 3:].T, expected, rtol=5e-9)
+    # Nine significant digits are written.
+    np.testing.assert_allclose(
+        np.array(written, float)[:, 3:].T, [run.displacement, *run.band(0.8)], rtol=5e-9
+    )
 
 
 @pytest.mark.parametrize(
@@ -666,16 +531,19 @@ def test_simulate_takes_commands_alone_with_an_initial_displacement(tmp_path, ba
         (("--initial", "120", "--load", "80"), ["load: the model has no covariate"]),
         (("--initial", "nan"), ["initial: expected one or several numbers", "nan"]),
         (("--initial", "120", "--coverage", "80"), ["--coverage", "--bands"]),
-        (("--initial", "120", "--bands"), ["no bands"]),
+        (
+            ("--initial", "120", "--bands"),
+            ["no bands for lifting and lowering; identification needs at least three tests"],
+        ),
     ],
 )
-def test_simulate_refuses_options_that_do_not_fit_commands_alone(refused, model, tmp_path, options, said):
-    rows = [f"{0.01 * number:.2f},0.8,0" for number in range(30)]
-    text = "\n".join(["time_s,current_up_A,current_down_A", *rows, ""])
-    (tmp_path / "commands.csv").write_text(text)
-    out = tmp_path / "out.csv"
-    refused("simulate", model, tmp_path / "commands.csv", "--out", out, *options, said=said)
-    assert not out.exists()
+def test_simulate_refuses_options_that_do_not_fit(refused, model, tmp_path, options, said):
+    log = write_commands(tmp_path / "commands.csv", [(0.8, 0)] * 30)
+    refused("simulate", model, log, "--out", tmp_path / "out.csv", *options, said=said)
+
+
+def test_design_of_a_model_that_knows_nothing_is_refused(refused, model, tmp_path):
+    refused("design", model, "--direction", "lifting", "--out", tmp_path / "next.csv", said=["got lifting"])
 
 
 @pytest.fixture(scope="module")
@@ -719,7 +587,7 @@ def test_validate_writes_a_report_with_its_figures(validated):
         assert f'id="figure-{path.stem}"' in page
 
 
-def test_each_table_and_the_data_of_each_figure_are_csv_files(validated, metrics):
+def test_tables_and_the_data_of_figures_are_csv(validated, metrics):
     out = validated[2]
     figures = {path.stem for path in (out / "figures").glob("*.svg")}
     assert {path.stem for path in (out / "figures").glob("*.csv")} == figures
@@ -730,15 +598,14 @@ def test_each_table_and_the_data_of_each_figure_are_csv_files(validated, metrics
     assert float(rmse["greybox", "free_run"]) == lifting["greybox"]["free_run"]["rmse"]
 
 
-def test_a_workbook_and_an_interactive_page_are_written_where_they_are_asked_for(
-    bench_folder, model, tmp_path
-):
+def test_other_forms_of_the_report_are_written_on_request(bench_folder, model, tmp_path):
     pytest.importorskip("xlsxwriter")
-    out = tmp_path / "out"
-    result = hitchid("validate", model, bench_folder, "--out", out, "--xlsx", "--interactive", "--quiet")
-    assert result == (0, "", "")
+    pytest.importorskip("typst")
+    out, forms = tmp_path / "out", ("--xlsx", "--interactive", "--pdf")
+    assert hitchid("validate", model, bench_folder, "--out", out, *forms, "--quiet") == (0, "", "")
     assert zipfile.is_zipfile(out / "tables.xlsx")
     assert "lifting-01" in (out / "interactive.html").read_text()
+    assert (out / "report.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_a_workbook_without_its_package_is_refused_before_any_work(
@@ -746,9 +613,8 @@ def test_a_workbook_without_its_package_is_refused_before_any_work(
 ):
     monkeypatch.setattr("hitchid.report.write.find_spec", lambda name: None)
     for command in (("validate", model), ("compare", model, model)):
-        refused(
-            *command, bench_folder, "--out", tmp_path / "out", "--xlsx", said=["pip install 'hitchid[xlsx]'"]
-        )
+        arguments = (*command, bench_folder, "--out", tmp_path / "out", "--xlsx")
+        refused(*arguments, said=["pip install 'hitchid[xlsx]'"])
 
 
 LIMITS = 'unit = "mm"\n[lifting]\ntests = 3\nfree_run = {{ rmse = {rmse} }}\n'
@@ -760,8 +626,8 @@ LIMITS = 'unit = "mm"\n[lifting]\ntests = 3\nfree_run = {{ rmse = {rmse} }}\n'
 def test_limits_decide_on_the_exit_code(bench_folder, model, tmp_path, rmse, code, verdict):
     (tmp_path / "limits.toml").write_text(LIMITS.format(rmse=rmse))
     out, junit = tmp_path / "out", tmp_path / "results.xml"
-    told = ("--accept", tmp_path / "limits.toml", "--junit", junit)
-    result = hitchid("validate", model, bench_folder, "--out", out, *told)
+    limits = ("--accept", tmp_path / "limits.toml", "--junit", junit)
+    result = hitchid("validate", model, bench_folder, "--out", out, *limits)
     assert result.code == code
     assert all(line.startswith(("pass  ", "fail  ")) for line in result.out.splitlines()[-2:])
     assert result.out.splitlines()[-1].startswith(f"{verdict}  lifting: free run, RMSE")
@@ -769,10 +635,10 @@ def test_limits_decide_on_the_exit_code(bench_folder, model, tmp_path, rmse, cod
     assert (suite.get("tests"), suite.get("failures")) == ("2", str(code))
     assert (out / "report.html").read_text().count("<h2>Acceptance</h2>") == 1
     # Quietly it says what fails, and nothing where nothing does; as JSON it says all.
-    quiet = hitchid("validate", model, bench_folder, "--out", out, *told, "--force", "--quiet")
+    quiet = hitchid("validate", model, bench_folder, "--out", out, *limits, "--force", "--quiet")
     assert (quiet.code, quiet.err, len(quiet.out.splitlines())) == (code, "", code)
     if code:
-        printed = hitchid("validate", model, bench_folder, "--out", out, *told, "--force", "--json")
+        printed = hitchid("validate", model, bench_folder, "--out", out, *limits, "--force", "--json")
         assert printed.code == code
         assert json.loads(printed.out)["acceptance"]["passed"] is False
 
@@ -793,13 +659,6 @@ def test_limits_that_cannot_be_held_are_refused(refused, bench_folder, model, tm
     refused("validate", model, bench_folder, "--out", tmp_path / "out", option, tmp_path / name, said=said)
 
 
-def test_a_pdf_is_written_where_it_is_asked_for(bench_folder, model, tmp_path):
-    pytest.importorskip("typst")
-    result = hitchid("validate", model, bench_folder, "--out", tmp_path / "out", "--pdf", "--quiet")
-    assert result == (0, "", "")
-    assert (tmp_path / "out" / "report.pdf").read_bytes().startswith(b"%PDF")
-
-
 @pytest.mark.long
 def test_two_models_are_compared_on_tests_neither_has_seen(tests_with_a_cycle, model, tmp_path):
     save(handmade.hitch("integrator-first-order", baselines=True), tmp_path / "other")
@@ -807,14 +666,8 @@ def test_two_models_are_compared_on_tests_neither_has_seen(tests_with_a_cycle, m
     arguments = ("compare", model, tmp_path / "other", tests_with_a_cycle, "--out", out)
     shown = hitchid(*arguments)
     assert shown.code == 0
-    assert {path.name for path in out.iterdir()} == {
-        "comparison.json",
-        "tables.md",
-        "tables",
-        "report.html",
-        "figures",
-        MANIFEST_FILE,
-    }
+    written = {"comparison.json", "tables.md", "tables", "report.html", "figures", MANIFEST_FILE}
+    assert {path.name for path in out.iterdir()} == written
     assert all(f"{part}, RMSE / mm" in shown.out for part in ("lifting", "lowering", "cycles"))
     assert max(map(len, shown.out.splitlines())) <= 80
     printed = hitchid(*arguments, "--force", "--json")
@@ -854,32 +707,21 @@ def test_the_metrics_have_the_keys_of_the_contract(metrics):
     assert set(metrics) == {"unit", "channels", "cycles"}
     assert metrics["unit"] == "mm"
     assert set(metrics["channels"]) == {"lifting", "lowering"}
+    both = {"one_step": FIGURES, "free_run": FIGURES}
+    one_step, free_run = {"one_step": FIGURES}, {"free_run": FIGURES}
     for mode, channel in metrics["channels"].items():
-        assert set(channel) == {
-            "tests",
-            "benchmark",
-            "greybox",
-            "baselines",
-            "horizons",
-            "per_test",
-            "residuals",
-        }
+        parts = ("tests", "benchmark", "greybox", "baselines", "horizons", "per_test", "residuals")
+        assert set(channel) == set(parts)
         assert channel["tests"] == [f"{mode}-{number:02d}" for number in (1, 2, 3)]
-        assert shape(channel["benchmark"]) == {"free_run": FIGURES}
-        assert shape(channel["greybox"]) == {"one_step": FIGURES, "free_run": FIGURES}
+        assert shape(channel["benchmark"]) == free_run
+        assert shape(channel["greybox"]) == both
         assert {name: shape(runs) for name, runs in channel["baselines"].items()} == {
-            "persistence": {"one_step": FIGURES},
-            "arx": {"one_step": FIGURES, "free_run": FIGURES},
-            "oe": {"free_run": FIGURES},
-            "narx": {"one_step": FIGURES, "free_run": FIGURES},
-            "lstm": {"free_run": FIGURES},
-            "transfer_function": {"free_run": FIGURES},
-            "paper": {"one_step": FIGURES, "free_run": FIGURES},
+            **{"persistence": one_step, "arx": both, "oe": free_run, "narx": both},
+            **{"lstm": free_run, "transfer_function": free_run, "paper": both},
         }
-
-
-def test_the_horizons_of_the_contract_begin_with_one_step(metrics):
-    for channel in metrics["channels"].values():
+        assert {name: shape(runs) for name, runs in channel["per_test"].items()} == dict.fromkeys(
+            channel["tests"], free_run
+        )
         horizons = channel["horizons"]
         assert set(horizons) == {"steps", "greybox", "benchmark", *channel["baselines"]}
         assert horizons["steps"] == [1, 2, 5, 10, 20, 50, 100]
@@ -887,24 +729,9 @@ def test_the_horizons_of_the_contract_begin_with_one_step(metrics):
         assert horizons["greybox"][0] == channel["greybox"]["one_step"]["rmse"]
         for name, baseline in channel["baselines"].items():
             assert "one_step" not in baseline or horizons[name][0] == baseline["one_step"]["rmse"]
-
-
-def test_single_tests_have_the_keys_of_the_contract(metrics):
-    for channel in metrics["channels"].values():
-        assert list(channel["per_test"]) == channel["tests"]
-        for runs in channel["per_test"].values():
-            assert shape(runs) == {"free_run": FIGURES}
-
-
-def test_cycles_have_the_keys_of_the_contract(metrics):
     cycles = metrics["cycles"]
     assert cycles["tests"] == ["cycle-01"]
-    models = {
-        "greybox": {"one_step": FIGURES, "free_run": FIGURES},
-        "benchmark": {"free_run": FIGURES},
-        "transfer_function": {"free_run": FIGURES},
-        "persistence": {"one_step": FIGURES},
-    }
+    models = {"greybox": both, "benchmark": free_run, "transfer_function": free_run, "persistence": one_step}
     assert {name: shape(cycles[name]) for name in models} == models
     assert set(cycles) == {"tests", *models, "horizons", "per_test", "max_jump"}
     assert set(cycles["horizons"]) == {"steps", "greybox", "persistence"}
@@ -917,7 +744,7 @@ def shape(runs):
 
 
 @pytest.mark.long
-def test_a_log_whose_name_is_no_unicode_is_validated_or_refused(bench_folder, model, tmp_path):
+def test_a_name_without_unicode_is_validated_or_refused(bench_folder, model, tmp_path):
     folder = shutil.copytree(bench_folder, tmp_path / "logs")
     (folder / "lifting-03.csv").rename(folder / "lifting-\udcff.csv")
     result = hitchid("validate", model, folder, "--out", tmp_path / "out", "--json")
@@ -947,7 +774,7 @@ def test_identify_writes_a_model_and_prints_what_it_found(bench_folder, tmp_path
     assert "was used for identification" in used_all.err
 
 
-def test_a_run_that_fails_has_exit_code_1_and_leaves_nothing(bench_folder, tmp_path, monkeypatch):
+def test_a_failed_run_exits_with_1_and_leaves_nothing(bench_folder, tmp_path, monkeypatch):
     def fails(*_):
         raise FitError("the piston does not move")
 
@@ -960,19 +787,13 @@ def test_a_run_that_fails_has_exit_code_1_and_leaves_nothing(bench_folder, tmp_p
     assert not out.exists()
 
 
-def test_rivals_that_are_there_are_not_trained_again_without_force(bench_folder, tmp_path):
+def test_rivals_there_are_or_of_other_logs_are_refused(refused, model, bench_folder, tmp_path):
     trained = handmade.hitch("integrator", compensated=True, baselines=True)
     rivals = {name: replace(each, trained=True) for name, each in trained.rivals.items()}
     save(replace(trained, rivals=rivals), tmp_path / "model")
-    shown = hitchid("rivals", tmp_path / "model", bench_folder)
-    assert shown.code == 2
-    assert "has trained rivals already" in shown.err
-
-
-def test_rivals_of_other_logs_are_refused(model, bench_folder):
-    shown = hitchid("rivals", model, bench_folder)
-    assert shown.code == 2
-    assert "expected the logs and the split that it was identified from" in shown.err
+    refused("rivals", tmp_path / "model", bench_folder, said=["has trained rivals already"])
+    said = ["expected the logs and the split that it was identified from"]
+    refused("rivals", model, bench_folder, said=said)
 
 
 @pytest.mark.long

@@ -4,12 +4,9 @@ import json
 from importlib.util import find_spec
 
 import pytest
-import typer
-from typer.testing import CliRunner
+from commands import hitchid
 
 import fleet_rows
-from hitchid.cli.fleet import report
-from hitchid.errors import HitchError
 from hitchid.fleet import Store
 from hitchid.fleet.ledger import row_name
 
@@ -31,14 +28,9 @@ def store(tmp_path_factory):
 
 
 def run(*arguments):
-    """Return exit code and output, errors as the program prints them."""
-    app = typer.Typer()
-    app.command()(report)
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    if isinstance(result.exception, HitchError):
-        return 2, str(result.exception)
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result.exit_code, result.output
+    """Return exit code and output, of a refusal what it says."""
+    result = hitchid("fleet", "report", *arguments)
+    return result.code, result.err if result.code == 2 else result.out
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +66,7 @@ def test_parquet_has_the_content_of_the_csv_file(written):
     assert parquet.read_table(tables / "cohorts.parquet").num_rows == 0
 
 
-def test_an_older_report_is_replaced_by_force_only_and_json_is_that_of_the_file(store, written):
+def test_an_older_report_is_replaced_by_force_only(store, written):
     out = written[0]
     code, message = run(store, "--out", out)
     assert code == 2
@@ -92,11 +84,14 @@ def test_machines_of_a_table_are_compared_by_its_columns(store, tmp_path):
     assert {each["column"] for each in json.loads(printed)["cohorts"]} == {"type"}
 
 
-def test_a_store_without_rows_a_table_without_machines_and_a_wrong_rate_are_refused(store, tmp_path):
+def test_an_empty_store_and_wrong_options_are_refused(store, tmp_path):
     (tmp_path / "empty").mkdir()
     out = tmp_path / "report"
     assert "has no results of a fleet" in run(tmp_path / "empty", "--out", out)[1]
     (tmp_path / "names.csv").write_text("name,type\na,b\n", encoding="utf-8")
     assert "expected 'machine'" in run(store, "--out", out, "--machines", tmp_path / "names.csv")[1]
-    assert run(store, "--out", out, "--level", "1.5") == (2, "--level: got 1.5, expected between 0 and 1")
+    assert run(store, "--out", out, "--level", "1.5") == (
+        2,
+        "hitchid: --level: got 1.5, expected between 0 and 1\n",
+    )
     assert not out.exists()

@@ -26,7 +26,7 @@ def test_what_an_encoding_lacks_is_written_plainly(bench_folder, encoding, ellip
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no such device")
 @pytest.mark.parametrize("options", [("--json",), ()])
-def test_an_output_that_cannot_be_written_is_told_in_one_line(bench_folder, options):
+def test_a_full_device_is_told_in_one_line(bench_folder, options):
     with open("/dev/full", "wb") as full:
         done = run("inspect", bench_folder, *options, stdout=full)
     assert done.returncode == 1

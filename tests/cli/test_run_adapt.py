@@ -8,11 +8,9 @@ import sys
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from commands import hitchid
 
 import machine
-from hitchid import cli
-from hitchid.errors import HitchError
 from hitchid.live import Changes, Event, changed_model, read_events
 from hitchid.live.events import LEARNED, MOVED, PROMOTED
 from hitchid.logs.record import LIFTING, LOWERING
@@ -27,17 +25,9 @@ EARLIER = Changes(0.05, 0.01, 0.0)
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Return the folder of a model as identified."""
-    found = tmp_path_factory.mktemp("adapted") / "model"
-    save(machine.MODEL, found)
-    return found
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _cache(tmp_path_factory):
-    """Keep what JAX compiles out of the user's cache."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield
+    path = tmp_path_factory.mktemp("adapted") / "model"
+    save(machine.MODEL, path)
+    return path
 
 
 def lines(strokes):
@@ -52,17 +42,15 @@ def lines(strokes):
     )
 
 
-def run(*arguments, heard=""):
-    """Return exit code, answers and the error of the program."""
-    result = CliRunner().invoke(cli.app, ["run", *map(str, arguments)], input=heard)
-    if isinstance(result.exception, HitchError):
-        return 2, [], str(result.exception)
-    return result.exit_code, [json.loads(line) for line in result.stdout.splitlines()], result.stderr
+def run(*arguments, stdin=""):
+    """Return exit code, answers and what the program says on standard error."""
+    result = hitchid("run", *arguments, stdin=stdin)
+    return result.code, [json.loads(line) for line in result.out.splitlines()], result.err
 
 
 def test_it_learns_writes_what_and_saves_the_model(folder, tmp_path):
     changes, saved = tmp_path / "changes.jsonl", tmp_path / "saved"
-    code, answers, said = run(folder, "--adapt", "--changes", changes, "--save", saved, heard=lines(STROKES))
+    code, answers, said = run(folder, "--adapt", "--changes", changes, "--save", saved, stdin=lines(STROKES))
     assert code == 0
     assert len(answers) == len(STROKES) * SAMPLES
     events = read_events(changes)
@@ -91,7 +79,7 @@ def test_it_learns_writes_what_and_saves_the_model(folder, tmp_path):
 @pytest.mark.long
 @pytest.mark.skipif(os.name == "nt", reason="signals are others there")
 @pytest.mark.parametrize("reads", [True, False])
-def test_ctrl_c_is_the_end_of_the_input_also_where_it_ends_the_reader(folder, tmp_path, reads):
+def test_ctrl_c_ends_the_input_with_or_without_reader(folder, tmp_path, reads):
     command = [sys.executable, "-m", "hitchid", "run", folder, "--adapt", "--save", tmp_path / "saved"]
     pipe = subprocess.PIPE
     with subprocess.Popen(  # noqa: S603 - this Python, the command under test
@@ -123,17 +111,14 @@ def test_it_goes_on_from_a_change_log(folder, tmp_path):
     text = "".join(event.to_json() + "\n" for event in earlier)
     # The program was stopped while it wrote the last line.
     changes.write_text(text + text[: len(text) // 4])
-    code, answers, _ = run(folder, "--adapt", "--changes", changes, "--save", saved, heard=lines(STROKES[:2]))
+    code, answers, _ = run(folder, "--adapt", "--changes", changes, "--save", saved, stdin=lines(STROKES[:2]))
     assert code == 0
     assert changes.read_text().startswith(text)
-    later = read_events(changes)[2:]
-    assert [(event.kind, event.stroke) for event in later if event.kind == LEARNED] == [
-        (LEARNED, 5),
-        (LEARNED, 6),
-    ]
+    learned = [event for event in read_events(changes)[2:] if event.kind == LEARNED]
+    assert [event.stroke for event in learned] == [5, 6]
     # The time of the log goes on, at the end of its last entry.
     ends_s = [10.0 + STEP_S * (number * SAMPLES) for number in (1, 2)]
-    assert [event.time_s for event in later if event.kind == LEARNED] == pytest.approx(ends_s)
+    assert [event.time_s for event in learned] == pytest.approx(ends_s)
     assert load(saved).provenance.adapted[LOWERING]["gain"] == EARLIER.gain
     # From the first sample on the model is that of the log.
     model = changed_model(machine.MODEL, {LOWERING: EARLIER})
@@ -149,26 +134,23 @@ def test_it_goes_on_from_a_change_log(folder, tmp_path):
 def test_what_is_for_adaptation_is_refused_without_it(folder, tmp_path, option):
     code, answers, said = run(folder, option, tmp_path / "file")
     assert (code, answers) == (2, [])
-    assert said == "--changes and --save are for adaptation; give --adapt, too"
+    assert said == "hitchid: --changes and --save are for adaptation; give --adapt, too\n"
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_that_is_there_already_is_refused_before_the_first_sample(folder, tmp_path):
+def test_what_is_there_already_is_left_alone(folder, tmp_path):
     (tmp_path / "saved").mkdir()
-    (tmp_path / "saved" / "mine.txt").write_text("mine")
-    code, answers, said = run(folder, "--adapt", "--save", tmp_path / "saved", heard=lines(STROKES[:1]))
-    assert (code, answers) == (2, [])
-    assert "saved" in said
-    assert (tmp_path / "saved" / "mine.txt").read_text() == "mine"
-
-
-def test_a_file_that_is_no_change_log_is_refused_and_left_as_it_is(folder, tmp_path):
-    changes = tmp_path / "notes.txt"
-    changes.write_text("mine\n")
-    code, _, said = run(folder, "--adapt", "--changes", changes)
-    assert code == 2
-    assert "line 1: is no entry of a change log" in said
-    assert changes.read_text() == "mine\n"
+    file, notes = tmp_path / "saved" / "mine.txt", tmp_path / "notes.txt"
+    file.write_text("mine")
+    notes.write_text("mine\n")
+    for options, said in (
+        (("--save", tmp_path / "saved"), "saved"),
+        (("--changes", notes), "line 1: is no entry of a change log"),
+    ):
+        code, answers, message = run(folder, "--adapt", *options, stdin=lines(STROKES[:1]))
+        assert (code, answers) == (2, [])
+        assert said in message
+    assert (file.read_text(), notes.read_text()) == ("mine", "mine\n")
 
 
 def test_a_change_log_that_cannot_be_written_is_told(folder, tmp_path):

@@ -129,23 +129,24 @@ class Started:
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory):
+def folder(tmp_path_factory):
     """Return a folder with logs that lift, and settings for an identification that takes seconds."""
-    place = tmp_path_factory.mktemp("stopping")
-    logs = benches.write_bench(place / "logs", tests=3, samples=250)
+    folder = tmp_path_factory.mktemp("stopping")
+    logs = benches.write_bench(folder / "logs", tests=3, samples=250)
     for log in logs.glob("lowering-*"):
         log.unlink()
-    (place / "light.toml").write_text(LIGHT)
-    return place
+    (folder / "light.toml").write_text(LIGHT)
+    return folder
 
 
 @pytest.fixture
-def identify(place, tmp_path):
+def identify(folder, tmp_path):
     """Return a function that starts an identification into the folder `model` of this test's own."""
 
     def start(*more):
-        asked = ("identify", place / "logs", "--out", tmp_path / "model", "--config", place / "light.toml")
-        return Started(*asked, "--quiet", *more, XDG_CACHE_HOME=str(tmp_path / ".cache"))
+        settings = ("--config", folder / "light.toml", "--quiet")
+        arguments = ("identify", folder / "logs", "--out", tmp_path / "model", *settings, *more)
+        return Started(*arguments, XDG_CACHE_HOME=str(tmp_path / ".cache"))
 
     return start
 
@@ -156,11 +157,11 @@ def left_in(folder):
 
 def stamps(folder):
     """Return when each file of a run was written; files may come and go meanwhile."""
-    found = {}
+    written = {}
     for path in [folder / "run.json", *folder.glob("*.npz")]:
         with suppress(FileNotFoundError):
-            found[path.name] = path.stat().st_mtime_ns
-    return found
+            written[path.name] = path.stat().st_mtime_ns
+    return written
 
 
 def has_new_results(folder, before):
@@ -172,7 +173,7 @@ def has_new_results(folder, before):
     return "run.json" in now and len(now) > 1 and now.items().isdisjoint(before.items())
 
 
-def test_an_identification_is_stopped_begun_anew_killed_and_gone_on_with(identify, tmp_path):
+def test_a_stopped_identification_is_begun_anew_or_resumed(identify, tmp_path):
     unfinished = tmp_path / "model.unfinished"
     unfinished.mkdir()  # as a stopped removal leaves it
     running = identify()
@@ -213,7 +214,7 @@ def test_an_identification_is_stopped_begun_anew_killed_and_gone_on_with(identif
     assert written <= set(left_in(tmp_path / "model"))
 
 
-def test_a_run_that_is_stopped_while_it_trains_leaves_the_physics_model(identify, place, tmp_path):
+def test_stopped_while_it_trains_it_leaves_the_physics_model(identify, folder, tmp_path):
     # So many epochs that it trains until it is stopped, however busy the host.
     training = "[training]\nepochs = 1000000\npatience = 1000000\nfree_run = false\n"
     form = '[lifting]\nstructure = "integrator"\n[search]\nmethod = "multi-start"\nevaluations = 60\n'
@@ -222,7 +223,7 @@ def test_a_run_that_is_stopped_while_it_trains_leaves_the_physics_model(identify
     running.wait_for((tmp_path / "model" / "model.json").is_file)
     code, *_ = running.interrupt()
     assert code == 130
-    model, campaign = hitchid.load(tmp_path / "model"), hitchid.read(place / "logs")
+    model, campaign = hitchid.load(tmp_path / "model"), hitchid.read(folder / "logs")
     assert all(channel.compensator is None for channel in model.channels.values())
     assert (
         hitchid.validate(model, campaign).metrics["channels"]["lifting"]["greybox"]["free_run"]["rmse"] < 1.0
@@ -233,7 +234,7 @@ def test_a_run_that_is_stopped_while_it_trains_leaves_the_physics_model(identify
     assert "--resume" in err
 
 
-def test_a_folder_that_is_no_run_is_never_taken_for_one(identify, tmp_path):
+def test_another_folder_is_never_taken_for_a_run(identify, tmp_path):
     (tmp_path / "model.unfinished").mkdir()
     (tmp_path / "model.unfinished" / "precious").write_text("mine")
     for options, said in (
@@ -248,7 +249,7 @@ def test_a_folder_that_is_no_run_is_never_taken_for_one(identify, tmp_path):
     assert left_in(tmp_path) == ["model.unfinished"]
 
 
-def test_a_run_that_is_refused_before_anything_is_found_leaves_nothing(identify, tmp_path):
+def test_a_run_refused_at_once_leaves_nothing(identify, tmp_path):
     # A model that is asked for a second input nobody measured.
     (tmp_path / "settings.toml").write_text(LIGHT + 'load = "pressure"\n')
     code, _, err = identify("--config", tmp_path / "settings.toml").end()
@@ -258,7 +259,7 @@ def test_a_run_that_is_refused_before_anything_is_found_leaves_nothing(identify,
     assert left_in(tmp_path) == ["settings.toml"]
 
 
-def test_inspect_stops_while_a_log_is_read_and_takes_the_reader_with_it(tmp_path):
+def test_inspect_stops_and_takes_its_reader_with_it(tmp_path):
     (tmp_path / "plugin").mkdir()
     (tmp_path / "plugin" / "sitecustomize.py").write_text(HANGING)
     log, begun = tmp_path / "log.parquet", tmp_path / "begun"

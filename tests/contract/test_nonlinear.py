@@ -98,9 +98,9 @@ def test_a_test_starts_at_its_initial_displacement(structure, make_record):
         model = PhysicalModel(structure, values_of(structure), jnp.asarray(0.0))
         travel = model.travel(batch)
         assert float(travel[0, 0]) == 0.0
-        found = np.asarray(batch.to_displacement(travel))[0, :SAMPLES]
+        computed = np.asarray(batch.to_displacement(travel))[0, :SAMPLES]
         expected = displacement(structure, record.command(LIFTING))
-        np.testing.assert_allclose(found, expected, rtol=0, atol=4 * EPS * np.abs(expected).max())
+        np.testing.assert_allclose(computed, expected, rtol=0, atol=4 * EPS * np.abs(expected).max())
 
 
 @every_nonlinear_structure
@@ -167,10 +167,10 @@ VISCOUS = {
 }
 
 
-def test_with_viscous_friction_alone_an_inertia_is_an_integrator_with_a_lag():
+def test_with_viscous_friction_an_inertia_is_a_lagged_integrator():
     gain, viscous, coulomb = AXIS["gain"], AXIS["viscous_friction"], 1e-12
     command = levels(np.random.default_rng(0), SAMPLES, low=0.2)
-    found = displacement(INERTIA, command, initial=3.0, coulomb_friction=coulomb, **VISCOUS) - 3.0
+    computed = displacement(INERTIA, command, initial=3.0, coulomb_friction=coulomb, **VISCOUS) - 3.0
     expected = held([gain], [1.0, viscous, 0.0], command)
     # A step of the classical method gives exp(−B h) but for (B h)⁵/120 of the speed, which then adds up to
     # displacement over the rest of the test; Coulomb friction alone moves it by K c t²/2 at most.
@@ -178,20 +178,20 @@ def test_with_viscous_friction_alone_an_inertia_is_an_integrator_with_a_lag():
     tolerance = SAMPLES * (viscous * STEP_S) ** 5 / 120 * fastest * duration
     tolerance += gain * coulomb * duration**2 / 2 + SAMPLES * EPS * expected.max()
     assert tolerance < 1e-6 * expected.max()
-    np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance)
+    np.testing.assert_allclose(computed, expected, rtol=0, atol=tolerance)
 
 
-def test_an_offset_that_changes_with_the_distance_travelled_is_a_spring_while_it_moves_on():
+def test_an_offset_along_the_way_is_a_spring():
     """With o + d x: ẍ + B ẋ + K d x = −K o, in closed form up to a reversal, for a command of zero."""
     gain, viscous, duration = AXIS["gain"], AXIS["viscous_friction"], SAMPLES * STEP_S
     still = {**VISCOUS, "offset": -0.5, "offset_per_travel": 0.01, "coulomb_friction": 1e-12}
-    found = displacement(INERTIA, np.zeros(SAMPLES), initial=0.0, **still)
+    computed = displacement(INERTIA, np.zeros(SAMPLES), initial=0.0, **still)
     t, far = STEP_S * np.arange(SAMPLES), 0.5 / 0.01
     root = np.sqrt(viscous**2 - 4 * gain * 0.01)
     slow, fast = (viscous - root) / 2, (viscous + root) / 2  # overdamped: it never reverses
     expected = far * (1 - (fast * np.exp(-slow * t) - slow * np.exp(-fast * t)) / root)
     tolerance = SAMPLES * (fast * STEP_S) ** 5 / 120 * gain / viscous * duration
-    np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance + 1e-12 * gain * duration**2)
+    np.testing.assert_allclose(computed, expected, rtol=0, atol=tolerance + 1e-12 * gain * duration**2)
 
 
 def test_an_inertia_at_rest_keeps_its_offset():
@@ -204,30 +204,30 @@ def test_an_inertia_at_rest_keeps_its_offset():
 @pytest.mark.parametrize("share", [-0.9, 0.5, 0.9])
 def test_a_force_below_coulomb_friction_moves_it_practically_nothing(share):
     gain, viscous, coulomb = (AXIS[name] for name in ("gain", "viscous_friction", "coulomb_friction"))
-    found = displacement(INERTIA, np.full(SAMPLES, share * coulomb), initial=5.0, **VISCOUS) - 5.0
+    computed = displacement(INERTIA, np.full(SAMPLES, share * coulomb), initial=5.0, **VISCOUS) - 5.0
     # From rest its speed grows to where K (u − c tanh(v/v₀)) = B v, below v₀ artanh(u/c).
     creeping = SIGN_SMOOTHING * gain * coulomb / viscous * np.arctanh(abs(share))
     bound = creeping * STEP_S * np.arange(SAMPLES)
-    assert np.all(np.sign(share) * found >= 0.0)
-    assert np.all(np.abs(found) <= bound + EPS * 5.0)
+    assert np.all(np.sign(share) * computed >= 0.0)
+    assert np.all(np.abs(computed) <= bound + EPS * 5.0)
     # Without friction it would be farther away by two orders.
     free = share * coulomb * gain * (STEP_S * (SAMPLES - 1)) ** 2 / 2
-    assert abs(found[-1]) < 0.02 * abs(free)
+    assert abs(computed[-1]) < 0.02 * abs(free)
 
 
-def test_a_coasting_mass_is_stopped_by_coulomb_friction_where_its_closed_form_says():
+def test_coulomb_friction_stops_a_mass_as_in_closed_form():
     """From v̇ = −B v − K c: it stands after ln(1 + v B/(K c))/B, having gone (v − K c t)/B."""
     gain, viscous, coulomb = (AXIS[name] for name in ("gain", "viscous_friction", "coulomb_friction"))
     start, slowed = 40.0, gain * coulomb
-    found = displacement(INERTIA, np.zeros(400), initial=0.0, **{**VISCOUS, "initial_speed": start})
+    computed = displacement(INERTIA, np.zeros(400), initial=0.0, **{**VISCOUS, "initial_speed": start})
     stops = np.log(1 + start * viscous / slowed) / viscous
     assert stops < 2.5
     gone = (start - slowed * stops) / viscous
     # In the smooth sign the last v₀ of speed takes longer: below 3 v₀ the force is short of K c, and what
     # is left of speed v₀ runs out within v₀²/(K c) · (1 + 3²/2).
     smooth = SIGN_SMOOTHING * slowed / viscous
-    assert 0.0 <= found[-1] - gone <= 5.5 * smooth**2 / slowed + smooth * STEP_S
-    assert abs(found[-1] - found[300]) < smooth * STEP_S
+    assert 0.0 <= computed[-1] - gone <= 5.5 * smooth**2 / slowed + smooth * STEP_S
+    assert abs(computed[-1] - computed[300]) < smooth * STEP_S
 
 
 # --- cascaded tanks ----------------------------------------------------------------------------------------
@@ -268,23 +268,23 @@ def test_levels_stay_and_end_where_inflow_and_outflow_balance(pumped, rate):
     assert abs(comes[100] - BRIM * lower) > 1e-8 * BRIM
 
 
-def test_the_root_of_the_level_of_an_emptying_tank_falls_linearly():
+def test_the_root_of_an_emptying_level_falls_linearly():
     """Torricelli: with nothing coming in, √ξ₂ = √ξ₂(0) − a₂ t/2."""
     outflow, step_s, start = TANKS["lower_outflow"], 1.0, 0.8
     lonely = {"transfer": 1e-12, "outflow_correction": 0.0, "initial_upper_level": 0.5}
     t = step_s * np.arange(40)
     root = np.sqrt(start) - outflow * t / 2
     assert root[-1] > 0.1
-    found = displacement(CASCADE, np.zeros(t.size), initial=BRIM * start, step_s=step_s, **lonely)
+    computed = displacement(CASCADE, np.zeros(t.size), initial=BRIM * start, step_s=step_s, **lonely)
     # The classical method takes √ξ for its Taylor series over a step of ½ s, in which √ξ falls by a tenth
     # of itself at most: what is left out is (1/10)⁵ of the fall of that step. In 1e-12 s⁻¹ · 40 s comes in.
     share = outflow * step_s / 4 / root[-1]
     assert share < 0.11
-    np.testing.assert_allclose(np.sqrt(found / BRIM), root, rtol=0, atol=share**5 * outflow * t[-1] / 2)
+    np.testing.assert_allclose(np.sqrt(computed / BRIM), root, rtol=0, atol=share**5 * outflow * t[-1] / 2)
 
 
 def test_an_empty_tank_stays_empty():
-    found = displacement(
+    computed = displacement(
         CASCADE,
         np.zeros(2000),
         initial=0.0,
@@ -294,31 +294,31 @@ def test_an_empty_tank_stays_empty():
         transfer=1e-12,
     )
     # Below the level that counts as empty the outflow is that of this level.
-    assert np.all(np.abs(found) <= BRIM * TANKS["lower_outflow"] * np.sqrt(EMPTY) * 4.0 * np.arange(2000))
-    assert np.all(np.diff(found) <= 0.0)
+    assert np.all(np.abs(computed) <= BRIM * TANKS["lower_outflow"] * np.sqrt(EMPTY) * 4.0 * np.arange(2000))
+    assert np.all(np.diff(computed) <= 0.0)
 
 
-def test_the_lower_tank_never_rises_above_its_brim_by_more_than_its_smooth_edge_lets_through():
+def test_the_lower_tank_stays_within_its_smooth_brim():
     step_s, pumped = 0.2, 5.0
     command = np.full(3000, pumped)
-    found = displacement(CASCADE, command, initial=5.0, step_s=step_s, outflow_correction=0.0) / BRIM
+    computed = displacement(CASCADE, command, initial=5.0, step_s=step_s, outflow_correction=0.0) / BRIM
     # Above the brim what comes in, N at most, enters by e^(−(ξ − 1)/δ) at most: e^((ξ − 1)/δ) ≤ 1 + N t/δ. A
     # step of integration may begin just below and end N h above.
     surplus = TANKS["transfer"] * 1.05 + TANKS["spill"] * TANKS["inflow"] * pumped
     edge = LOWER_BRIM * np.log1p(surplus * step_s * command.size / LOWER_BRIM)
     assert edge < 0.025
-    assert 1.0 < found.max() <= 1 + edge + surplus * step_s / CASCADE.substeps
+    assert 1.0 < computed.max() <= 1 + edge + surplus * step_s / CASCADE.substeps
 
 
-def test_a_full_upper_tank_spills_what_it_cannot_hold_into_the_lower_one():
+def test_a_full_upper_tank_spills_into_the_lower_one():
     """Both full inflow and overflow end in the lower tank: b + s (k u − a₁) = a₂ √ξ₂ with ξ₁ = 1."""
     pumped = 3.1
     over = TANKS["inflow"] * pumped - TANKS["upper_outflow"]
     assert 0 < over < 0.1 * TANKS["upper_outflow"]
     values = {"outflow_correction": 0.0, "lower_outflow": 0.05, "initial_upper_level": 1.0}
-    found = displacement(CASCADE, np.full(1000, pumped), initial=4.0, step_s=4.0, **values)[-1] / BRIM
+    computed = displacement(CASCADE, np.full(1000, pumped), initial=4.0, step_s=4.0, **values)[-1] / BRIM
     # The upper level lies within its smooth edge: above where half of it spills, by ln of 1 + t/δ at most.
     upper = np.array([1.0, 1 + 0.005 * np.log1p(over * 4000 / 0.005)])
     spilt = np.maximum(TANKS["inflow"] * pumped - TANKS["upper_outflow"] * np.sqrt(upper), 0.0)
     least, most = ((TANKS["transfer"] * np.sqrt(upper) + TANKS["spill"] * spilt) / 0.05) ** 2
-    assert min(least, most) * (1 - 1e-3) <= found <= max(least, most) * (1 + 1e-3)
+    assert min(least, most) * (1 - 1e-3) <= computed <= max(least, most) * (1 + 1e-3)

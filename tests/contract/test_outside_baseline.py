@@ -1,8 +1,6 @@
 """A baseline of another package: fitted beside the channel, saved, loaded, validated, named in the tables."""
 
 import json
-import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,21 +12,9 @@ from hitchid.identification import AdamConfig, CompensatorConfig, MultiStart, Ri
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.record import LIFTING, Record
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "baseline_from_outside"
+EXAMPLE = "baseline_from_outside"
 NAME = "constant_speed"
 STEP_S, SPEED, SAMPLES = 0.01, 12.0, 250
-
-
-def install(folder: Path, patch: pytest.MonkeyPatch) -> None:
-    """Install the example as far as Python sees: its module and its entry points."""
-    entries = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]["entry-points"]
-    info = folder / "constant_speed-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: constant-speed\nVersion: 1.0\n")
-    lines = [f"{name} = {value}" for name, value in entries["hitchid.baselines"].items()]
-    (info / "entry_points.txt").write_text("\n".join(["[hitchid.baselines]", *lines, ""]))
-    patch.syspath_prepend(str(folder))
-    patch.syspath_prepend(str(EXAMPLE))
 
 
 def campaign(tests=6) -> Campaign:
@@ -46,13 +32,13 @@ def campaign(tests=6) -> Campaign:
 
 
 @pytest.fixture(scope="module")
-def saved(tmp_path_factory):
+def saved(install, tmp_path_factory):
     """Return the folder of a model that was identified with the package installed."""
     folder = tmp_path_factory.mktemp("outside") / "model"
     with pytest.MonkeyPatch.context() as patch:
-        install(tmp_path_factory.mktemp("installed"), patch)
+        install(patch, EXAMPLE)
         training = CompensatorConfig(hidden=2, window=10, adam=AdamConfig(epochs=1), free_run=None)
-        found = hitchid.identify(
+        identification = hitchid.identify(
             campaign(),
             structure={LIFTING: "integrator"},
             training=training,
@@ -60,7 +46,7 @@ def saved(tmp_path_factory):
             search=MultiStart(evaluations=20),
             dead_zones={LIFTING: 0.1},
         )
-        found.save(folder)
+        identification.save(folder)
     return folder
 
 
@@ -69,8 +55,8 @@ def test_without_the_package_there_are_the_own_baselines():
 
 
 @pytest.mark.long
-def test_it_is_fitted_saved_loaded_and_validated(saved, tmp_path, monkeypatch):
-    install(tmp_path, monkeypatch)
+def test_it_is_fitted_saved_loaded_and_validated(saved, install, monkeypatch):
+    install(monkeypatch, EXAMPLE)
     assert list(all_baselines())[-1] == NAME
     model = hitchid.load(saved)
     assert model.rivals[LIFTING].baselines[NAME].speed == pytest.approx(SPEED, rel=1e-9)
@@ -82,6 +68,6 @@ def test_it_is_fitted_saved_loaded_and_validated(saved, tmp_path, monkeypatch):
     assert NAME in result.markdown() or NAME.replace("_", " ") in result.markdown()
 
 
-def test_a_model_with_it_is_refused_where_the_package_is_missing(saved):
+def test_without_the_package_its_model_is_refused(saved):
     with pytest.raises(ModelFolderError, match=NAME):
         hitchid.load(saved)

@@ -2,8 +2,6 @@
 
 import csv
 import json
-import tomllib
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -17,27 +15,14 @@ from hitchid.report import registered_renderers, render
 from hitchid.validation import validate
 from truth import STEP_S
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "renderer_from_outside"
 BUILT_IN = ["html", "interactive", "pdf", "markdown", "terminal", "junit", "json", "xlsx"]
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory):
-    """Install the example as far as Python sees: its module and its entry points."""
-    folder = tmp_path_factory.mktemp("installed")
-    groups = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]["entry-points"]
-    info = folder / "csv_tables-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: csv-tables\nVersion: 1.0\n")
-    lines = [
-        line
-        for group, entries in groups.items()
-        for line in (f"[{group}]", *(f"{name} = {value}" for name, value in entries.items()))
-    ]
-    (info / "entry_points.txt").write_text("\n".join(lines))
+def installed(install):
+    """Install the example."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(folder))
-        patch.syspath_prepend(str(EXAMPLE))
+        install(patch, "renderer_from_outside")
         yield
 
 
@@ -64,7 +49,7 @@ def test_it_stands_beside_those_of_the_package(installed):
     assert list(registered_renderers()) == [*BUILT_IN, "csv"]
 
 
-def test_a_renderer_that_is_not_installed_is_refused_by_its_name(result):
+def test_a_renderer_not_installed_is_refused_by_name(result):
     with pytest.raises(InputError, match="got 'latex', expected one of html, interactive, pdf, markdown"):
         render(result.report(), "latex")
 

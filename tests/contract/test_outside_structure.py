@@ -1,9 +1,7 @@
 """A structure of another package: chosen automatically, saved, loaded, validated, named in settings."""
 
 import json
-import tomllib
 from dataclasses import replace
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +16,6 @@ from hitchid.logs.record import LIFTING, Record
 from hitchid.structures import CovariateEffects, PhysicalModel, registered_structures, structure_named
 from truth import STEP_S, held, levels
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "structure_from_outside"
 NAME = "leaking-cylinder"
 GAIN, LEAK_TIME, LAG = 20.0, 0.8, 0.06
 FRACTION = [GAIN * LEAK_TIME], [LEAK_TIME * LAG, LEAK_TIME + LAG, 1.0]
@@ -27,32 +24,21 @@ WIDEST = largest_spec(ModelSpec(structure_named("integrator")), opening_known=Tr
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory):
-    """Install the example as far as Python sees: its module and its entry points."""
-    folder = tmp_path_factory.mktemp("installed")
-    entry_points = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]["entry-points"]
-    info = folder / "leaking_cylinder-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: leaking-cylinder\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(
-        "".join(
-            f"[{group}]\n" + "".join(f"{name} = {value}\n" for name, value in entries.items())
-            for group, entries in entry_points.items()
-        )
-    )
+def installed(install):
+    """Install the example."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(folder))
-        patch.syspath_prepend(str(EXAMPLE))
+        install(patch, "structure_from_outside")
         yield
 
 
-def made_up_campaign(structure_fraction, *, tests=10, samples=250) -> Campaign:
+@pytest.fixture(scope="module")
+def campaign() -> Campaign:
     """Return tests of a plant simulated by scipy, each at a level of its own and at rest at its end."""
-    rng, records = np.random.default_rng(0), []
-    for number, top in enumerate(np.linspace(0.3, 1.0, tests)):
+    rng, samples, records = np.random.default_rng(0), 250, []
+    for number, top in enumerate(np.linspace(0.3, 1.0, 10)):
         command = top * levels(rng, samples, low=0.5)
         command[2 * samples // 3 :] = 0.0
-        displacement = 50.0 + held(*structure_fraction, command) + NOISE * rng.standard_normal(samples)
+        displacement = 50.0 + held(*FRACTION, command) + NOISE * rng.standard_normal(samples)
         signals = {"displacement": displacement, "lifting_command": command}
         units = {"displacement": "mm", "lifting_command": "A"}
         records.append(Record(name=f"lifting-{number:02d}", step_s=STEP_S, signals=signals, units=units))
@@ -60,18 +46,9 @@ def made_up_campaign(structure_fraction, *, tests=10, samples=250) -> Campaign:
 
 
 @pytest.fixture(scope="module")
-def campaign():
-    return made_up_campaign(FRACTION)
-
-
-@pytest.fixture(scope="module")
 def identified(installed, campaign):
     return hitchid.identify(
-        campaign,
-        training=None,
-        rivals=None,
-        search=MultiStart(evaluations=60),
-        dead_zones={LIFTING: 0.0},
+        campaign, training=None, rivals=None, search=MultiStart(evaluations=60), dead_zones={LIFTING: 0.0}
     )
 
 
@@ -92,8 +69,8 @@ def test_it_simulates_as_its_transfer_function(installed):
     command = levels(np.random.default_rng(1), 200)
     model = PhysicalModel(structure_named(NAME), jnp.array([LEAK_TIME, LAG, GAIN]), jnp.asarray(0.0))
     expected = held(*FRACTION, command)
-    found = np.asarray(model.response(jnp.asarray(command)[None], STEP_S))[0]
-    np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
+    simulated = np.asarray(model.response(jnp.asarray(command)[None], STEP_S))[0]
+    np.testing.assert_allclose(simulated, expected, atol=1e-10 * np.abs(expected).max())
     assert float(model.gain) == GAIN
     np.testing.assert_allclose(model.with_gain(1.5).values, [LEAK_TIME, LAG, 1.5 * GAIN])
 
@@ -102,12 +79,12 @@ def test_the_automatic_choice_finds_it(identified):
     trace = identified.channels[LIFTING]
     (chosen,) = (candidate for candidate in trace.candidates if candidate.chosen)
     assert chosen.spec.structure.name == NAME
-    found = {estimate.name: estimate for estimate in trace.phase1.parameter_estimates}
+    estimates = {estimate.name: estimate for estimate in trace.phase1.parameter_estimates}
     truth = {"gain": GAIN, "leak_time": LEAK_TIME, "lag": LAG}
     for name, value in truth.items():
         # Four standard errors: 1 in 16000 for each.
-        assert abs(found[name].value - value) <= 4 * found[name].error
-        assert found[name].determined
+        assert abs(estimates[name].value - value) <= 4 * estimates[name].error
+        assert estimates[name].determined
     # Noise alone is left.
     assert trace.phase1.rmse == pytest.approx(NOISE, rel=0.1)
 

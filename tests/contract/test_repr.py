@@ -37,16 +37,8 @@ ROOMS = (
 # Settings: their `repr` is the call that makes them, on one line, and stands in model folders.
 SETTINGS = (
     *("AdamConfig", "AutoStructure", "CompensatorConfig", "DifferentialEvolution", "ExcitationLimits"),
-    *(
-        "Format",
-        "ModelSpec",
-        "MultiStart",
-        "Plan",
-        "SearchComparison",
-        "SpeedCompensatorConfig",
-        "Whale",
-        "WhaleConfig",
-    ),
+    *("Format", "ModelSpec", "MultiStart", "Plan", "SearchComparison", "SpeedCompensatorConfig", "Whale"),
+    "WhaleConfig",
 )
 MANY, SAMPLES = 40, 30  # items of each sequence and mapping, samples along each axis of an array
 LONG_NAME = "a name that is rather long, as names of logs are at times, for they tell what was measured/up-1"
@@ -221,7 +213,7 @@ def test_what_a_person_wants_to_know_is_there():
 
 
 @pytest.mark.parametrize("kind", WHOLE, ids=lambda kind: kind.__name__)
-def test_a_notebook_shows_a_table_and_a_picture_without_a_script(kind):
+def test_a_notebook_shows_table_and_picture_without_a_script(kind):
     page = WHOLE[kind]()._repr_html_()
     assert page.count("<table>") == page.count("</table>") == 1
     assert "<svg" in page

@@ -97,16 +97,16 @@ def test_state_space_and_transfer_function_describe_one_system(structure, data):
 def test_discretisation_agrees_with_scipy_for_any_parameters(structure, data):
     values = jnp.asarray(drawn(data, structure))
     step_s = data.draw(st.floats(1e-3, 0.1), label="step_s")
-    found = _discretise(structure, values, jnp.asarray(step_s))
+    computed = _discretise(structure, values, jnp.asarray(step_s))
     a, b = (np.asarray(part) for part in structure.state_space(values))
     n = len(b)
     phi, gamma, *_ = signal.cont2discrete(
         (a, b[:, None], np.eye(1, n), np.zeros((1, 1))), step_s, method="zoh"
     )
-    assert int(found.delay_samples) == 0
-    assert np.all(np.asarray(found.gamma1) == 0.0)
-    assert largest(found.transition - phi) <= 1e-12 * largest(phi)
-    assert largest(found.gamma0 - gamma[:, 0]) <= 1e-12 * largest(gamma)
+    assert int(computed.delay_samples) == 0
+    assert np.all(np.asarray(computed.gamma1) == 0.0)
+    assert largest(computed.transition - phi) <= 1e-12 * largest(phi)
+    assert largest(computed.gamma0 - gamma[:, 0]) <= 1e-12 * largest(gamma)
 
 
 @eqx.filter_jit
@@ -118,10 +118,10 @@ def _discretise(structure, values, step_s):
 def test_response_agrees_with_scipy(structure, command):
     model = typical(structure)
     expected = held(*structure.transfer_function(tuple(model.values.tolist())), command)
-    found = response(model, command, 2.0 * command)
-    assert largest(found[0] - expected) <= 1e-10 * largest(expected)
-    assert largest(found[1] - 2.0 * expected) <= 2e-10 * largest(expected)
-    assert found[0, 0] == 0.0
+    computed = response(model, command, 2.0 * command)
+    assert largest(computed[0] - expected) <= 1e-10 * largest(expected)
+    assert largest(computed[1] - 2.0 * expected) <= 2e-10 * largest(expected)
+    assert computed[0, 0] == 0.0
 
 
 @every_linear_structure
@@ -135,7 +135,7 @@ def test_dead_time_of_whole_samples_only_delays_the_response(structure, command)
 
 
 @every_linear_structure
-def test_fractional_dead_time_agrees_with_a_grid_ten_times_as_fine(structure, command):
+def test_fractional_dead_time_agrees_with_a_finer_grid(structure, command):
     fine_command = shifted(np.repeat(command, 10), 37)
     values = tuple(typical(structure).values.tolist())
     fine = held(*structure.transfer_function(values), fine_command, STEP_S / 10)
@@ -149,16 +149,16 @@ def test_fractional_dead_time_agrees_with_a_grid_ten_times_as_fine(structure, co
 def test_discrete_state_space_reproduces_the_response(structure, dead_time_s, command):
     model = typical(structure, dead_time_s)
     system = linearise(model, STEP_S).to_scipy()
-    found = signal.dlsim(system, command)[1].ravel()
+    computed = signal.dlsim(system, command)[1].ravel()
     expected = response(model, command, command)[0]
     # 200 additions of rounding errors in either.
-    assert largest(found - expected) <= 2 * SAMPLES * EPS * largest(expected)
+    assert largest(computed - expected) <= 2 * SAMPLES * EPS * largest(expected)
     assert system.dt == STEP_S
 
 
 @every_linear_structure
 @pytest.mark.parametrize("dead_time_s", [0.0, 0.037])
-def test_continuous_state_space_has_the_transfer_function_and_nearly_the_dead_time(structure, dead_time_s):
+def test_continuous_state_space_has_transfer_function_and_dead_time(structure, dead_time_s):
     system = linearise(typical(structure, dead_time_s)).to_scipy()
     numerator, denominator = structure.transfer_function(tuple(typical(structure).values.tolist()))
     frequencies = np.array([0.3, 2.0, 20.0, 200.0] if not dead_time_s else [0.3, 2.0, 20.0])
@@ -223,11 +223,11 @@ CLOSED_FORMS = {
 @every_linear_structure
 def test_step_response_is_the_closed_form(structure):
     model = typical(structure)
-    found = response(model, np.ones(SAMPLES), np.zeros(SAMPLES))
+    computed = response(model, np.ones(SAMPLES), np.zeros(SAMPLES))
     expected = CLOSED_FORMS[structure.name](STEP_S * np.arange(SAMPLES), *model.values.tolist())
     # 200 additions of rounding errors.
-    assert largest(found[0] - expected) <= SAMPLES * EPS * largest(expected)
-    assert np.all(found[1] == 0.0)
+    assert largest(computed[0] - expected) <= SAMPLES * EPS * largest(expected)
+    assert np.all(computed[1] == 0.0)
 
 
 @every_linear_structure
@@ -267,7 +267,7 @@ def test_a_benchmark_with_all_options_is_linearised(structure):
 
 
 @every_structure
-def test_a_structure_is_linear_or_nonlinear_and_its_bounds_enclose_something(structure):
+def test_a_structure_is_linear_or_not_and_has_bounds(structure):
     assert isinstance(structure, LinearStructure) != isinstance(structure, NonlinearStructure)
     for parameter in structure.parameters:
         assert parameter.lower < parameter.upper

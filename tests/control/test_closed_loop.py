@@ -86,20 +86,18 @@ def test_the_bench_follows_its_target(traced) -> None:
 
 
 def test_a_controller_of_plain_numbers_gives_the_same_signals(traced, brisk) -> None:
-    plain = closed(Plain(brisk))
-    np.testing.assert_allclose(plain.displacement, traced.displacement, rtol=0, atol=1e-6)
-    np.testing.assert_allclose(plain.measured, traced.measured, rtol=0, atol=1e-6)
-    np.testing.assert_allclose(plain.commands, traced.commands, rtol=0, atol=1e-6)
+    for signal, same in zip(closed(Plain(brisk)), traced, strict=True):
+        np.testing.assert_allclose(signal, same, rtol=0, atol=1e-6)
 
 
-def test_a_held_hitch_is_measured_with_the_error_of_the_sensors_curve(traced) -> None:
+def test_a_held_hitch_is_measured_as_its_sensor_reads(traced) -> None:
     """The loops hold for 20 samples first; the means of 100 and of 40 readings differ by their noise."""
     held = traced.measured[:, :20]
     measured = measured_at_rest(load_rig("nominal"), jax.random.key(5), START, 100)
     assert measured == pytest.approx(held.mean(), abs=5 * held.std() / np.sqrt(30))
 
 
-def test_loops_have_noise_of_their_own_and_the_same_with_the_same_key(brisk) -> None:
+def test_each_loop_has_the_noise_of_the_key(brisk) -> None:
     first, again = closed(brisk, factors=np.ones(2)), closed(brisk, factors=np.ones(2))
     np.testing.assert_array_equal(first.measured, again.measured)
     assert np.any(first.measured[0] != first.measured[1])
@@ -111,23 +109,18 @@ def test_the_mass_of_the_implement_changes_the_motion(traced, brisk) -> None:
     assert np.abs(other.displacement[1] - traced.displacement[1]).max() > 1e-3
 
 
-def test_a_lost_sensor_measures_nothing_in_just_these_samples(brisk) -> None:
-    found = closed(brisk, sensor_lost=LOST)
-    np.testing.assert_array_equal(np.isnan(found.measured), np.tile(LOST, (2, 1)))
-
-
-def test_currents_are_zero_without_a_measurement(brisk) -> None:
-    found = closed(brisk, sensor_lost=LOST)
-    assert np.any(found.commands[:, LOST.argmax() - 1] > 0)
-    assert np.all(found.commands[np.isnan(found.measured)] == 0)
-    assert np.all(np.isfinite(found.displacement))
+def test_a_lost_sensor_measures_nothing_and_closes_the_valves(brisk) -> None:
+    loops = closed(brisk, sensor_lost=LOST)
+    np.testing.assert_array_equal(np.isnan(loops.measured), np.tile(LOST, (2, 1)))
+    assert np.any(loops.commands[:, LOST.argmax() - 1] > 0)
+    assert np.all(loops.commands[np.isnan(loops.measured)] == 0)
+    assert np.all(np.isfinite(loops.displacement))
 
 
 @pytest.mark.parametrize(
-    ("name", "oil_c"),
-    [("heavy-cold", None), ("light-warm-worn", None), ("nominal", 5.0)],
+    ("name", "oil_c"), [("heavy-cold", None), ("light-warm-worn", None), ("nominal", 5.0)]
 )
-def test_the_bench_of_a_loop_is_that_of_the_campaigns_at_any_oil_temperature(name: str, oil_c) -> None:
+def test_a_loop_runs_on_the_bench_of_the_campaigns(name: str, oil_c) -> None:
     rig, currents = load_rig(name), jnp.array([0.8, 0.0])
     closed_loop = run_closed_loops(
         TracedReturning(currents),
@@ -149,7 +142,7 @@ def test_the_bench_of_a_loop_is_that_of_the_campaigns_at_any_oil_temperature(nam
     np.testing.assert_allclose(closed_loop.displacement, expected_mm, rtol=0, atol=1e-6)
 
 
-def test_a_leak_that_grows_in_a_loop_lets_a_held_hitch_sink_faster() -> None:
+def test_a_growing_leak_lets_a_held_hitch_sink_faster() -> None:
     idle = TracedReturning(jnp.zeros(2))
     worn = np.where(np.arange(SAMPLES) < 75, 1.0, 20.0)
     sound = closed(idle).displacement
@@ -159,11 +152,11 @@ def test_a_leak_that_grows_in_a_loop_lets_a_held_hitch_sink_faster() -> None:
 
 
 @pytest.mark.parametrize("change_a", [-0.05, 0.05])
-def test_a_dead_zone_that_wear_changes_shifts_the_current_of_a_speed(change_a: float) -> None:
+def test_a_worn_dead_zone_shifts_the_current_of_a_speed(change_a: float) -> None:
     """The opening is that of i/i_s − i₀/i_s over 1 − i₀/i_s: a longer dead zone slows the same current."""
     driven = TracedReturning(jnp.array([0.8, 0.0]))
     same, changed = closed(driven), closed(driven, dead_zone_change_a=change_a)
-    travel = [each.displacement[:, -1] - START for each in (same, changed)]
+    travel = [loops.displacement[:, -1] - START for loops in (same, changed)]
     assert np.all(np.sign(travel[0] - travel[1]) == np.sign(change_a))
 
 

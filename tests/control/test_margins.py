@@ -14,11 +14,11 @@ def integrator(gain: float, dead_time_s: float, omega=OMEGA):
 
 
 @pytest.mark.parametrize(("gain", "dead_time_s"), LOOPS)
-def test_an_integrator_with_dead_time_has_the_margins_of_its_closed_form(gain, dead_time_s) -> None:
-    found = margins(integrator(gain, dead_time_s), OMEGA)
-    assert found.gain_db == pytest.approx(20 * np.log10(np.pi / (2 * gain * dead_time_s)), rel=1e-3)
-    assert found.phase_deg == pytest.approx(90 - np.rad2deg(gain * dead_time_s), rel=1e-3)
-    assert found.delay_s == pytest.approx((np.pi / 2 - gain * dead_time_s) / gain, rel=1e-3)
+def test_margins_of_an_integrator_with_dead_time_are_exact(gain, dead_time_s) -> None:
+    margin = margins(integrator(gain, dead_time_s), OMEGA)
+    assert margin.gain_db == pytest.approx(20 * np.log10(np.pi / (2 * gain * dead_time_s)), rel=1e-3)
+    assert margin.phase_deg == pytest.approx(90 - np.rad2deg(gain * dead_time_s), rel=1e-3)
+    assert margin.delay_s == pytest.approx((np.pi / 2 - gain * dead_time_s) / gain, rel=1e-3)
 
 
 def test_loops_with_a_leading_axis_have_the_margins_of_each() -> None:
@@ -29,36 +29,36 @@ def test_loops_with_a_leading_axis_have_the_margins_of_each() -> None:
             assert rows[number] == one
 
 
-def test_a_loop_that_never_reaches_half_a_turn_has_no_gain_margin() -> None:
-    found = margins(2 / (1j * OMEGA), OMEGA)
-    assert found.gain_db == np.inf
-    assert found.phase_deg == pytest.approx(90.0, rel=1e-6)
-    assert found.sensitivity == pytest.approx(1.0, rel=1e-3)
-    assert found.disk == pytest.approx(2.0, rel=1e-6)
+def test_without_half_a_turn_the_gain_margin_is_infinite() -> None:
+    margin = margins(2 / (1j * OMEGA), OMEGA)
+    assert margin.gain_db == np.inf
+    assert margin.phase_deg == pytest.approx(90.0, rel=1e-6)
+    assert margin.sensitivity == pytest.approx(1.0, rel=1e-3)
+    assert margin.disk == pytest.approx(2.0, rel=1e-6)
 
 
-def test_a_loop_that_is_zero_at_its_last_frequency_has_the_margins_below_it() -> None:
+def test_a_loop_of_zero_at_the_end_has_margins() -> None:
     loop = integrator(2.0, 0.2)
     with np.errstate(all="raise"):
-        found = margins(np.append(loop[:-1], 0.0), OMEGA)
-    assert found.gain_db == margins(loop, OMEGA).gain_db
+        margin = margins(np.append(loop[:-1], 0.0), OMEGA)
+    assert margin.gain_db == margins(loop, OMEGA).gain_db
 
 
-def test_a_double_integrator_with_lead_has_the_margins_of_its_closed_form() -> None:
+def test_margins_of_a_double_integrator_with_lead_are_exact() -> None:
     s = 1j * OMEGA
-    found = margins((1 + s) / s**2, OMEGA)
+    margin = margins((1 + s) / s**2, OMEGA)
     crossover = np.sqrt((1 + np.sqrt(5)) / 2)
-    assert found.phase_deg == pytest.approx(np.rad2deg(np.arctan(crossover)), rel=1e-3)
-    assert found.delay_s == pytest.approx(np.arctan(crossover) / crossover, rel=1e-3)
+    assert margin.phase_deg == pytest.approx(np.rad2deg(np.arctan(crossover)), rel=1e-3)
+    assert margin.delay_s == pytest.approx(np.arctan(crossover) / crossover, rel=1e-3)
 
 
 @pytest.mark.parametrize(("gain", "dead_time_s"), [(20.0, 0.1), (2.0, 1.0)])
 def test_an_unstable_loop_has_negative_margins_and_none_of_delay(gain, dead_time_s) -> None:
-    found = margins(integrator(gain, dead_time_s), OMEGA)
-    assert found.gain_db == pytest.approx(20 * np.log10(np.pi / (2 * gain * dead_time_s)), rel=1e-3)
-    assert found.gain_db < 0
-    assert found.phase_deg < 0
-    assert found.delay_s == 0
+    margin = margins(integrator(gain, dead_time_s), OMEGA)
+    assert margin.gain_db == pytest.approx(20 * np.log10(np.pi / (2 * gain * dead_time_s)), rel=1e-3)
+    assert margin.gain_db < 0
+    assert margin.phase_deg < 0
+    assert margin.delay_s == 0
 
 
 def test_sensitivity_and_disk_margin_are_those_of_python_control() -> None:
@@ -72,6 +72,6 @@ def test_sensitivity_and_disk_margin_are_those_of_python_control() -> None:
     except control.ControlMIMONotImplemented:
         pytest.skip("python-control without slycot")
     loop = system(1j * omega)
-    found = margins(loop, omega)
-    assert found.disk == pytest.approx(float(np.squeeze(disk)), rel=1e-6)
-    assert found.sensitivity == pytest.approx(np.abs(1 / (1 + loop)).max(), rel=1e-12)
+    margin = margins(loop, omega)
+    assert margin.disk == pytest.approx(float(np.squeeze(disk)), rel=1e-6)
+    assert margin.sensitivity == pytest.approx(np.abs(1 / (1 + loop)).max(), rel=1e-12)

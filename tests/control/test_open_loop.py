@@ -44,9 +44,9 @@ def matrix_response(system):
 def test_a_plant_responds_as_its_matrices_do(structure: str, dead_time_s: float, curves) -> None:
     signal = signal_of(physical(structure, dead_time_s, curves))
     assert (float(signal.spool_lag_s) > 0) == (curves is LAGGED_CURVES)
-    found = plant_response(signal, OMEGA, STEP_S)
+    response = plant_response(signal, OMEGA, STEP_S)
     expected = matrix_response(signal.state_space(STEP_S))
-    np.testing.assert_allclose(found.undelayed * found.delay, expected, rtol=1e-9)
+    np.testing.assert_allclose(response.undelayed * response.delay, expected, rtol=1e-9)
 
 
 def test_draws_respond_as_each_alone() -> None:
@@ -65,8 +65,10 @@ def test_draws_respond_as_each_alone() -> None:
 
 
 def test_the_speed_gain_is_that_of_low_frequencies() -> None:
-    found = plant_response(signal_of(physical("integrator-first-order", 0.064, LAGGED_CURVES)), OMEGA, STEP_S)
-    assert abs(found.undelayed[0]) * OMEGA[0] == pytest.approx(float(found.speed_gain), rel=1e-3)
+    response = plant_response(
+        signal_of(physical("integrator-first-order", 0.064, LAGGED_CURVES)), OMEGA, STEP_S
+    )
+    assert abs(response.undelayed[0]) * OMEGA[0] == pytest.approx(float(response.speed_gain), rel=1e-3)
 
 
 def test_a_whole_dead_time_is_the_same_interpolated() -> None:

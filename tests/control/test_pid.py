@@ -26,20 +26,13 @@ def run(own: PidController, errors) -> tuple:
 
 
 def test_the_sign_of_the_error_chooses_the_valve() -> None:
-    for error, number in ((4.0, 0), (-4.0, 1)):
-        _, currents = run(controller(), [error])
-        expected = np.zeros(2)
-        expected[number] = 0.05 * 4.0 * (1 + 0.01 / 2.0)
-        np.testing.assert_allclose(currents[0], expected, rtol=1e-12)
+    size = 0.05 * 4.0 * (1 + 0.01 / 2.0)
+    for error, expected in ((4.0, [size, 0.0]), (-4.0, [0.0, size]), (0.0, [0.0, 0.0])):
+        np.testing.assert_allclose(run(controller(), [error])[1][0], expected, rtol=1e-12)
+    np.testing.assert_array_equal(run(controller(offset=0.3), [0.0])[1], [[0.0, 0.0]])
 
 
-def test_no_error_has_no_current() -> None:
-    for offset in (0.0, 0.3):
-        _, currents = run(controller(offset=offset), [0.0, 0.0])
-        np.testing.assert_array_equal(currents, np.zeros((2, 2)))
-
-
-def test_a_dead_zone_is_added_to_a_current_that_is_not_zero() -> None:
+def test_a_dead_zone_is_added_where_a_current_flows() -> None:
     plain, compensated = run(controller(), [4.0, -4.0])[1], run(controller(offset=0.3), [4.0, -4.0])[1]
     np.testing.assert_allclose(compensated, np.where(plain > 0, plain + 0.3, 0.0), rtol=1e-12)
 
@@ -60,7 +53,7 @@ def test_the_integral_grows_to_the_limit_and_no_further() -> None:
     assert currents.max() == pytest.approx(0.8, abs=0.01)
 
 
-def test_without_a_measurement_there_is_no_current_and_the_integral_starts_anew() -> None:
+def test_without_a_measurement_there_is_neither_current_nor_integral() -> None:
     integrals, currents = run(controller(), [8.0, 8.0, np.nan, np.nan])
     assert integrals[1] > 0
     np.testing.assert_array_equal(integrals[2:], 0.0)
@@ -68,16 +61,16 @@ def test_without_a_measurement_there_is_no_current_and_the_integral_starts_anew(
 
 
 def test_baselines_follow_the_simc_rules(linear_controller) -> None:
-    found = baselines(linear_controller)
-    assert set(found) == {"SIMC PI", "SIMC PI, dead zone compensated", "fixed PID"}
+    controllers = baselines(linear_controller)
+    assert set(controllers) == {"SIMC PI", "SIMC PI, dead zone compensated", "fixed PID"}
     gain, theta = np.array([30.0, 20.0]), 0.064 + 0.005
-    simc = found["SIMC PI"]
+    simc = controllers["SIMC PI"]
     np.testing.assert_allclose(simc.proportional, 1 / (gain * 2 * (0.08 + theta)), rtol=1e-6)
     np.testing.assert_allclose(simc.integral_s, 8 * (0.08 + theta), rtol=1e-9)
     np.testing.assert_array_equal(simc.derivative_s, 0.0)
     np.testing.assert_array_equal(simc.offset, 0.0)
-    np.testing.assert_array_equal(found["SIMC PI, dead zone compensated"].offset, [0.35, 0.25])
-    fixed = found["fixed PID"]
+    np.testing.assert_array_equal(controllers["SIMC PI, dead zone compensated"].offset, [0.35, 0.25])
+    fixed = controllers["fixed PID"]
     parallel = 1 + 0.08 / (8 * theta)  # series form to parallel form
     np.testing.assert_allclose(fixed.proportional, parallel / (25.0 * 2 * theta), rtol=1e-6)
     np.testing.assert_allclose(fixed.integral_s, parallel * 8 * theta, rtol=1e-9)

@@ -48,7 +48,7 @@ class Delayed(eqx.Module):
         return state, state
 
 
-def test_a_loop_of_a_plain_plant_decays_as_its_difference_equation() -> None:
+def test_a_plain_plant_decays_as_its_difference_equation() -> None:
     target = np.full(100, 11.0)
     loops = run_plant_loops(Proportional(), Boom(), 0, target, start=10.0, loops=2)
     error = (1 - 0.5 * STEP_S * 2.0) ** np.arange(100)  # deg
@@ -56,7 +56,7 @@ def test_a_loop_of_a_plain_plant_decays_as_its_difference_equation() -> None:
     np.testing.assert_allclose(loops.commands[0, :, 0], 2.0 * error, rtol=1e-10)
 
 
-def test_a_sensor_that_is_lost_is_lost_to_the_controller_only() -> None:
+def test_a_lost_sensor_is_lost_to_the_controller_only() -> None:
     lost = np.arange(60) >= 30
     loops = run_plant_loops(
         Proportional(), Boom(), 0, np.full(60, 11.0), start=10.0, loops=1, sensor_lost=lost
@@ -75,15 +75,15 @@ def test_a_plant_that_measures_no_number_is_refused() -> None:
 
 
 @pytest.mark.parametrize(("lowest", "highest", "slowest"), [(-30.0, 35.0, 12.0), (0.0, 250.0, 16.0)])
-def test_the_scenarios_of_a_plant_stay_within_its_travel_and_speed(lowest, highest, slowest) -> None:
-    found = plant_scenarios(lowest, highest, slowest, "deg")
-    for scenario in found:
+def test_scenarios_stay_within_the_travel_and_speed_of_a_plant(lowest, highest, slowest) -> None:
+    scenarios = plant_scenarios(lowest, highest, slowest, "deg")
+    for scenario in scenarios:
         assert lowest < scenario.target.min() <= scenario.target.max() < highest
         if scenario.kind in (Kind.RAMP, Kind.SINE):
             assert np.abs(np.diff(scenario.target)).max() / STEP_S < slowest
         if scenario.amplitude:
             assert 0 < scenario.tolerance < abs(scenario.amplitude)
-    assert "step +5 deg" in {scenario.name for scenario in found}
+    assert "step +5 deg" in {scenario.name for scenario in scenarios}
 
 
 def test_a_plant_without_its_travel_is_refused(linear_controller) -> None:

@@ -15,7 +15,7 @@ def gaussian(seed: int, *, smooth: bool, runs: int = RUNS):
 
 
 @pytest.mark.parametrize("smooth", [False, True])
-def test_a_band_holds_nine_of_ten_new_runs_over_their_whole_length(smooth: bool) -> None:
+def test_a_band_holds_nine_of_ten_whole_runs(smooth: bool) -> None:
     band = band_of(gaussian(1, smooth=smooth))
     share = np.mean(band.contains(gaussian(2, smooth=smooth)) == 1)
     # Both the band's runs and the new ones scatter.

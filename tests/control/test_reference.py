@@ -34,32 +34,27 @@ def run(targets, speeds=0.0, start: float = 0.0) -> Reference:
     arrays(np.float64, 200, elements=st.floats(-30, 30)),
     st.integers(1, 100),
 )
-def test_it_moves_at_its_speed_and_accelerates_as_the_hitch_can(levels, speeds, each: int) -> None:
-    found = run(np.repeat(levels, each)[:200], speeds)
-    np.testing.assert_allclose(np.diff(found.position), STEP_S * found.speed[1:], rtol=0, atol=1e-9)
-    before = np.concatenate([[0.0], found.speed[:-1]])
-    upward = np.where(found.speed == 0, before, found.speed) > 0
-    assert np.all(np.abs(found.acceleration) <= np.where(upward, 180.0, 90.0) * (1 + 1e-9))
-    beyond = (np.minimum(before, found.speed) >= 15.0) | (np.maximum(before, found.speed) <= -10.0)
-    assert np.all(found.acceleration[beyond] == 0)
+def test_it_accelerates_no_faster_than_the_hitch_can(levels, speeds, held: int) -> None:
+    reference = run(np.repeat(levels, held)[:200], speeds)
+    np.testing.assert_allclose(np.diff(reference.position), STEP_S * reference.speed[1:], rtol=0, atol=1e-9)
+    before = np.concatenate([[0.0], reference.speed[:-1]])
+    upward = np.where(reference.speed == 0, before, reference.speed) > 0
+    assert np.all(np.abs(reference.acceleration) <= np.where(upward, 180.0, 90.0) * (1 + 1e-9))
+    beyond = (np.minimum(before, reference.speed) >= 15.0) | (np.maximum(before, reference.speed) <= -10.0)
+    assert np.all(reference.acceleration[beyond] == 0)
 
 
 @given(st.floats(-50, 50), st.floats(0, 200))
 def test_a_standing_target_is_reached_for_good_and_not_passed(distance: float, start: float) -> None:
     target = start + distance
-    position = run(np.full(800, target), start=start).position
+    reference = run(np.full(800, target), start=start)
+    position = reference.position
     beyond = np.sign(distance) * (position - target)
     assert beyond.max() <= 180.0 * STEP_S**2 / 8  # the bound of the docstring
     np.testing.assert_allclose(position[-200:], target, rtol=0, atol=1e-12)
     assert np.ptp(position[-200:]) <= 1e-12
-
-
-@pytest.mark.parametrize("target", [20.0, -20.0, 0.37])
-def test_a_reference_at_its_target_stands(target: float) -> None:
-    found = run(np.full(400, target))
-    assert found.position[-1] == target
-    assert np.all(found.speed[-50:] == 0)
-    assert np.all(found.acceleration[-50:] == 0)
+    assert not np.any(reference.speed[-50:])
+    assert not np.any(reference.acceleration[-50:])
 
 
 @pytest.mark.parametrize("distance", [60.0, 20.0, 5.0, 0.5, -60.0, -20.0, -5.0, -0.5])
@@ -74,6 +69,6 @@ def test_the_way_takes_the_time_of_its_deceleration(distance: float) -> None:
 @pytest.mark.parametrize("speed", [12.0, 3.0, -3.0, -8.0])
 def test_a_ramp_is_followed_one_sample_ahead_of_its_target(speed: float) -> None:
     target = 5.0 + speed * STEP_S * np.arange(1500)
-    found = run(target, speed)
-    np.testing.assert_allclose(found.position[-300:], target[-300:] + speed * STEP_S, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(found.speed[-300:], speed, atol=1e-7)
+    reference = run(target, speed)
+    np.testing.assert_allclose(reference.position[-300:], target[-300:] + speed * STEP_S, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(reference.speed[-300:], speed, atol=1e-7)

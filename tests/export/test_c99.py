@@ -10,46 +10,48 @@ import pytest
 
 import handmade
 from hitchid.errors import InputError, OutputError
-from hitchid.export import ParityError, c99, to_c, verification
-from hitchid.export.c_templates import number
+from hitchid.export import ParityError, c99, fmu, to_c, to_fmu, to_onnx, verification
+from hitchid.export.c_templates import c_templates, number
 from hitchid.export.constants import constants_of
 from hitchid.structures import LinearStructure, Parameter, PhysicalModel
 
 
+def to_fmu_of_this_machine(model, path) -> None:
+    to_fmu(model, path, version="fmi3", platforms=[fmu._this_platform()])
+
+
 @pytest.mark.long
-def test_two_exports_are_the_same_bytes(everything, compiler, tmp_path) -> None:
-    folders = [tmp_path / "a", tmp_path / "b and ü"]
-    for folder in folders:
-        to_c(everything, folder)
-    first, second = ({path.name: path.read_bytes() for path in folder.iterdir()} for folder in folders)
-    assert first == second
-    assert set(first) == {
-        ".hitchid.json",
-        "README.md",
-        "hitch.c",
-        "hitch.h",
-        "hitch.py",
-        "hitch_selftest.c",
-        "manifest.json",
-    }
-    manifest = json.loads(first["manifest.json"])
+@pytest.mark.parametrize("target", [to_c, to_onnx, to_fmu_of_this_machine])
+def test_two_exports_are_the_same_bytes(everything, compiler, tmp_path, target) -> None:
+    if target is to_onnx:
+        pytest.importorskip("onnx")
+    contents = []
+    for place in (tmp_path / "a", tmp_path / "b and ü"):
+        target(everything, place)
+        files = sorted(place.iterdir()) if place.is_dir() else [place]
+        contents.append([path.read_bytes() for path in files])
+    assert contents[0] == contents[1]
+
+
+def test_an_export_holds_sources_and_states_its_proof(exported) -> None:
+    files = {path.name: path.read_bytes() for path in exported.iterdir() if path.suffix != ".so"}
+    sources = {"hitch.c", "hitch.h", "hitch_selftest.c"}
+    assert set(files) == {".hitchid.json", "README.md", "hitch.py", "manifest.json", *sources}
+    manifest = json.loads(files["manifest.json"])
     assert manifest["parity"]["samples"] == 2 * c99.SAMPLES
     assert manifest["memory_bytes"]["state"] < 4096
-    for name in ("hitch.c", "hitch.h", "hitch_selftest.c"):
-        assert first[name].isascii()
-        assert b"nan" not in first[name].lower().replace(b"nan: ", b"").replace(b"for nan", b"")
+    for name in sources:
+        assert files[name].isascii()
+        assert b"nan" not in files[name].lower().replace(b"nan: ", b"").replace(b"for nan", b"")
 
 
 @pytest.mark.parametrize("name", ["", "9lives", "a-b", "int", "_hidden", "ä", "a" * 25, "x y", "class"])
-def test_a_name_that_is_no_identifier_is_refused(everything, name: str, tmp_path) -> None:
+def test_what_is_no_name_and_no_precision_is_refused(everything, name: str, tmp_path) -> None:
     with pytest.raises(InputError, match="name: expected a C identifier"):
         to_c(everything, tmp_path / "out", name=name)
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_precision_that_is_not_known_is_refused(everything, tmp_path) -> None:
-    with pytest.raises(Exception, match="precision"):
+    with pytest.raises(InputError, match="precision"):
         to_c(everything, tmp_path / "out", precision="half")
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.long
@@ -92,9 +94,9 @@ def test_a_compiler_that_fails_is_named(everything, tmp_path, monkeypatch) -> No
 
 def test_the_first_working_compiler_is_taken(compiler, monkeypatch) -> None:
     monkeypatch.setenv("CC", "no-such-compiler")
-    found = c99.find_compiler()
-    assert found is not None
-    assert os.path.isabs(found.command[0])
+    compiler = c99.find_compiler()
+    assert compiler is not None
+    assert os.path.isabs(compiler.command[0])
 
 
 @pytest.mark.parametrize("value", [0.1, 1 / 3, 1e-300, 123456789.123456789, -2.0, 1e22, 0.0, 5e-324])
@@ -135,8 +137,8 @@ def test_a_linear_structure_of_another_package_is_exported(compiler, tmp_path) -
 
 def test_one_with_covariates_is_refused(tmp_path) -> None:
     model = handmade.hitch_of(handmade.channel("lifting", "integrator", shape=True))
-    known = model.channels["lifting"].benchmark
-    other = PhysicalModel(Unknown(), known.values, known.dead_time_s, known.nonlinearity, known.scheduling)
+    own = model.channels["lifting"].benchmark
+    other = PhysicalModel(Unknown(), own.values, own.dead_time_s, own.nonlinearity, own.scheduling)
     channel = replace(model.channels["lifting"], benchmark=other)
     with pytest.raises(InputError, match="structure unknown: expected one whose equations"):
         to_c(replace(model, channels={"lifting": channel}), tmp_path / "out")
@@ -151,7 +153,9 @@ def test_parameters_change_the_code_as_they_change_the_model(compiler, tmp_path)
     for _ in range(200):
         state, displacement = changed.step(state, [0.8, 0.0])
         expected.append(float(displacement))
-    to_c(model, tmp_path / "out")
+    templates = c_templates(constants, "hitch", "mixed")
+    for ending in ("c", "h"):
+        (tmp_path / f"hitch.{ending}").write_text(templates.render(f"model.{ending}"))
     source = tmp_path / "main.c"
     source.write_text(
         '#include "hitch.h"\n#include <stdio.h>\n'
@@ -160,6 +164,6 @@ def test_parameters_change_the_code_as_they_change_the_model(compiler, tmp_path)
         'for (k = 0; k < 200; k++) { hitch_step(&s, &i, &o); printf("%.17g\\n", o.displacement); }\n'
         "return 0; }\n"
     )
-    compiler.compile([source, tmp_path / "out" / "hitch.c"], tmp_path / "main", f"-I{tmp_path / 'out'}")
+    compiler.compile([source, tmp_path / "hitch.c"], tmp_path / "main")
     done = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=True)  # noqa: S603
     assert [float(line) for line in done.stdout.split()] == pytest.approx(expected, rel=1e-12)

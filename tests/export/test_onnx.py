@@ -43,14 +43,6 @@ def test_the_state_is_outside(everything, tmp_path) -> None:
     assert onward[0] != first[0]
 
 
-@pytest.mark.long
-def test_two_exports_are_the_same_bytes(everything, tmp_path) -> None:
-    for name in ("a", "b"):
-        to_onnx(everything, tmp_path / name)
-    contents = [{path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("a", "b")]
-    assert contents[0] == contents[1]
-
-
 def test_a_model_without_compensators_is_refused(tmp_path) -> None:
     with pytest.raises(InputError, match="has no compensator"):
         to_onnx(handmade.hitch(), tmp_path / "out")

@@ -1,7 +1,5 @@
 """Generated C code against the model's own step: every structure, every option, every precision."""
 
-import subprocess
-
 import numpy as np
 import pytest
 
@@ -70,23 +68,6 @@ def test_the_band_is_that_of_the_model(everything, compiler, tmp_path) -> None:
     np.testing.assert_allclose(rows[at, 3], expected, rtol=1e-6)
 
 
-LANGUAGES = {"c99": [], "c11": [], "c++17": ["-x", "c++"]}
-WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wdouble-promotion -Werror -fsyntax-only"
-
-
-def warnings_of(compiler, folder, standard: str) -> str:
-    """Return what a compiler has to say about the code in a folder."""
-    command = [
-        *compiler.command,
-        f"-std={standard}",
-        *WARNINGS.split(),
-        *LANGUAGES[standard],
-        "hitch.c",
-        REPLAY,
-    ]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False).stderr  # noqa: S603
-
-
 def write_sources(model, precision: str, folder) -> None:
     """Write the generated code of a model."""
     templates = c_templates(constants_of(model), "hitch", precision)
@@ -96,12 +77,12 @@ def write_sources(model, precision: str, folder) -> None:
 
 
 @pytest.mark.parametrize("precision", ["mixed", "double", "single"])
-def test_code_compiles_without_a_warning(model, precision: str, compiler, tmp_path) -> None:
+def test_code_compiles_without_a_warning(model, precision: str, warnings, tmp_path) -> None:
     write_sources(model, precision, tmp_path)
-    assert warnings_of(compiler, tmp_path, "c99") == ""
+    assert warnings(tmp_path, "-std=c99", "hitch.c", REPLAY) == ""
 
 
-@pytest.mark.parametrize("standard", ["c11", "c++17"])
-def test_code_is_c11_and_cpp17_too(everything, standard: str, compiler, tmp_path) -> None:
+@pytest.mark.parametrize("language", ["-std=c11", "-std=c++17 -x c++"])
+def test_code_is_c11_and_cpp17_too(everything, language: str, warnings, tmp_path) -> None:
     write_sources(everything, "mixed", tmp_path)
-    assert warnings_of(compiler, tmp_path, standard) == ""
+    assert warnings(tmp_path, *language.split(), "hitch.c", REPLAY) == ""

@@ -10,8 +10,6 @@ from importlib.util import module_from_spec, spec_from_file_location
 import numpy as np
 import pytest
 
-from hitchid.export import to_c
-
 SANITIZERS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 FUZZ = r"""
 #include "hitch.h"
@@ -35,9 +33,9 @@ int main(void)
     uint8_t bytes[HITCH_SAVED_BYTES];
     long i;
     hitch_real load[4] = { 100, NAN, INFINITY, 0 };
-    hitch_init(&state, odd()%LOAD%);
+    hitch_init(&state, odd(), load);
     (void)load;
-    for (i = 0; i < %COUNT%; i++) {
+    for (i = 0; i < 1000000; i++) {
         input.lifting_command = odd();
         input.lowering_command = odd();
         input.displacement_measured = next() % 2 ? 100 + odd() : odd();
@@ -48,7 +46,7 @@ int main(void)
             hitch_save(&state, bytes);
             if (hitch_load(&state, bytes, sizeof bytes) != 0) return 2;
         }
-        if (next() % 50000 == 0) hitch_init(&state, odd()%LOAD%);
+        if (next() % 50000 == 0) hitch_init(&state, odd(), load);
     }
     return 0;
 }
@@ -56,27 +54,18 @@ int main(void)
 
 
 @pytest.fixture(scope="session")
-def exported(everything, compiler, tmp_path_factory):
-    """Return the folder of a model's export, with its compiled library."""
-    folder = tmp_path_factory.mktemp("export") / "with ü and spaces"
-    to_c(everything, folder)
-    compiler.compile([folder / "hitch.c"], folder / "libhitch.so", "-fPIC", "-shared")
-    return folder
-
-
-@pytest.fixture(scope="session")
-def library(exported):
-    """Return the Python module beside the library."""
+def library(exported, compiler):
+    """Return the Python module beside the compiled code."""
+    compiler.compile([exported / "hitch.c"], exported / "libhitch.so", "-fPIC", "-shared")
     spec = spec_from_file_location("exported_hitch", exported / "hitch.py")
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
 
 
-@pytest.mark.parametrize("count", [1_000_000])
-def test_every_output_is_finite_and_memory_is_not_harmed(exported, compiler, tmp_path, count: int) -> None:
+def test_every_output_is_finite_and_memory_is_not_harmed(exported, compiler, tmp_path) -> None:
     source = tmp_path / "fuzz.c"
-    source.write_text(FUZZ.replace("%COUNT%", str(count)).replace("%LOAD%", ", load"))
+    source.write_text(FUZZ)
     compiler.compile([source, exported / "hitch.c"], tmp_path / "fuzz", f"-I{exported}", *SANITIZERS)
     done = subprocess.run([tmp_path / "fuzz"], capture_output=True, text=True, check=False)  # noqa: S603
     assert done.returncode == 0, done.stdout + done.stderr[:2000]

@@ -23,7 +23,7 @@ from hitchid.errors import InputError
         ({"most": 5.0}, -1.0, float("nan")),
     ],
 )
-def test_a_figure_fails_that_is_more_than_a_twentieth_worse_than_its_bar(bar, good, bad):
+def test_a_figure_a_twentieth_worse_than_its_bar_fails(bar, good, bad):
     assert holds(bar, good)
     assert not holds(bar, bad)
 
@@ -58,7 +58,7 @@ def test_errors_become_outcomes():
     assert "identify" in fallen.seconds
 
 
-def test_a_run_that_hangs_or_dies_takes_no_other_with_it():
+def test_a_run_that_hangs_takes_no_other_along():
     jobs = [
         Job("hangs", signal.pause, timeout_s=2.0),
         Job("dies", os._exit, {"status": 3}),

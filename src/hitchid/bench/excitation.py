@@ -34,11 +34,7 @@ class StaticResult:
 
 
 def evaluate_ramps(ramps: Sequence[Record], direction: str) -> StaticResult:
-    """Return the result of the ramps of one direction (Sun et al. 2025, sec. 2.3.1).
-
-    Args:
-        ramps: at least one; displacement in mm, command in A.
-        direction: lifting or lowering.
+    """Return the result of one or more ramps of one direction, in mm and A (Sun et al. 2025, sec. 2.3.1).
 
     Raises:
         LogError: a ramp ends before the piston moves.
@@ -73,15 +69,11 @@ def prbs(
 ) -> np.ndarray:
     """Return a maximum-length pseudo-random binary sequence between two levels, after a short rest.
 
-    The shift register is the shortest whose period 2ⁿ − 1 covers the test; the seed chooses its phase.
+    The shift register is the shortest whose period 2ⁿ − 1 covers the test; the seed chooses its phase. A
+    level is held for `clock_s` at least.
 
-    Args:
-        low, high: the two levels; raises `InputError` unless 0 ≤ low < high.
-        clock_s: shortest time a level is held, s.
-        duration_s: length, s.
-        seed: phase of the sequence.
-        rest_s: time at zero before the sequence, s.
-        step_s: sampling time, s.
+    Raises:
+        InputError: not 0 ≤ low < high, or the test is shorter than a step.
     """
     if not 0 <= low < high:
         raise InputError(f"prbs: expected 0 ≤ low < high, got {low:g} and {high:g}")
@@ -90,6 +82,7 @@ def prbs(
     clocks = -(-(count - rest) // hold_samples)
     bits = max(4, int(np.ceil(np.log2(clocks + 1))))
     state = np.random.default_rng(seed).integers(0, 2, bits)
+    # A register of zeros would never leave them.
     state[0] |= not state.any()
     sequence = max_len_seq(bits, state=state, length=clocks)[0]
     levels = np.repeat(np.where(sequence > 0, high, low), hold_samples)
@@ -106,28 +99,18 @@ def duty_cycle(
     seed: int,
     step_s: float = 0.01,
 ) -> np.ndarray:
-    """Return random lift, hold and lower strokes within a range of displacement.
+    """Return random lift, hold and lower strokes within a range of displacement, shape [2, N].
 
-    The travel of a stroke is predicted from the speed per effective command of its direction. The probability
-    of a direction grows with the travel left in it.
-
-    Args:
-        levels: lowest and highest effective command, lifting and lowering.
-        speeds: speed per effective command, lifting and lowering, displacement per second and command.
-        start: initial displacement.
-        displacement_range: lowest and highest displacement.
-        duration_s: length, s.
-        seed: seed of directions, levels and times.
-        step_s: sampling time, s.
-
-    Returns:
-        The lifting and the lowering command, shape [2, N].
+    Levels are the lowest and highest effective command, lifting and lowering, speeds those per effective
+    command, from which the travel of a stroke is predicted. The probability of a direction grows with the
+    travel left in it.
     """
     rng = np.random.default_rng(seed)
     count = _count(duration_s, step_s)
     commands = np.zeros((2, count))
     (lowest, highest), height, sample = displacement_range, start, round(0.5 / step_s)
     while sample < count:
+        # More often towards the farther end: the strokes do not drift to a stop.
         up = bool(rng.random() < (highest - height) / (highest - lowest))
         level = rng.uniform(*levels[0 if up else 1])
         speed = level * speeds[0 if up else 1]

@@ -65,6 +65,7 @@ def _measure(
     sensors, shape = rig.sensors, displacement.shape
     clock_noise, angle_noise, lifting_noise, lowering_noise = noise_samples
     nominal = jnp.broadcast_to(SAMPLE_S * jnp.arange(shape[1]), shape)
+    # Clipped, so that stamps never change places.
     clock_jitter = jnp.clip(jitter * clock_noise, -4 * jitter, 4 * jitter)
     time = (nominal + SAMPLE_S * clock_jitter).at[:, 0].set(0.0)
     corner = sensors.filter_frequency * SAMPLE_S

@@ -151,6 +151,7 @@ def _check_linkage(rig: Rig) -> None:
     """Refuse a linkage that opens, stalls or leaves the sensor's range anywhere on the stroke."""
     linkage, stroke = rig.linkage, float(rig.cylinder.stroke)
     positions = jnp.linspace(0.0, stroke, CHECKED_POSITIONS)
+    # The cylinder first: where its triangle does not close, all that follows is no number.
     cylinder = np.asarray(linkage.cylinder_cosine(positions))
     rod = np.asarray(linkage.rod_cosine(linkage.arm_angle(positions)))
     lever = np.asarray(linkage.rates(positions)[2])

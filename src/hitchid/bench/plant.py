@@ -264,21 +264,16 @@ def advance(
     ripple: Values,
     steps: StepFactors,
 ) -> RigState:
-    """Advance the bench by one step.
+    """Advance the bench, with friction and leakage at oil temperature, by one step under held inputs.
 
     Continuity: C_s ṗ_s = Q_pump − Q_relief − Q_lift, C_c ṗ = Q_lift − Q_lower − Q_leak − Q_safety − A ẋ/σ(p).
     Force: m(x) ẍ + ½ m'(x) ẋ² = (p − p₀) A − W(x) − F_load dh/dx − F_friction + F_stop.
 
-    Args:
-        rig: with friction and leakage at oil temperature.
-        load: at the displacement `origin`, m; taken as linear around it.
-        origin: see `load`.
-        state: at the start of the step.
-        inputs: held during the step.
-        ripple: the pump's flow over its mean, averaged over the step.
-        steps: factors of the step's length.
+    The load is that at the displacement `origin`, m, and linear around it; the ripple is the pump's flow over
+    its mean, averaged over the step.
     """
     dt, cylinder = steps.dt, rig.cylinder
+    # First the valves, by the pressures at the start: the flows of the step are those of mean openings.
     valves = _step_valves(rig, state, inputs, steps)
     flows = _flows(rig, state, valves, ripple)
     friction = _friction(rig, state)
@@ -297,6 +292,7 @@ def advance(
         supply_oil=state.supply_oil,
         cylinder_oil=state.cylinder_oil,
     )
+    # Pressures from volumes, not from their own increments, whose error would make or lose oil.
     volume = cylinder.volume(updated.displacement)
     return updated._replace(
         supply_pressure=rig.supply.pressure(rig.oil, supply_amount(updated)),
@@ -362,13 +358,7 @@ def _momentum(
 
 
 def _solve(
-    rig: Rig,
-    load: Load,
-    state: RigState,
-    flows: _Flows,
-    friction: _Friction,
-    momentum: _Momentum,
-    dt: Values,
+    rig: Rig, load: Load, state: RigState, flows: _Flows, friction: _Friction, momentum: _Momentum, dt: Values
 ) -> _Increments:
     """Solve the stage's linear system for the increments, eliminated in the order z, x, p_s, p, v."""
     cylinder, half = rig.cylinder, 0.5 * dt

@@ -205,6 +205,7 @@ def _advance_sample(
     number: Scalar,
 ) -> RigState:
     """Return the bench 10 ms later; see `advance_sample`. `rig` is at its oil temperature."""
+    # In 10 ms the linkage hardly moves: its load is linear around the displacement at the start.
     load, origin = rig.linkage.load(state.displacement), state.displacement
     inputs = RigInputs(currents[0], currents[1], load_force)
     start = rig.supply.ripple_frequency * SAMPLE_S * number

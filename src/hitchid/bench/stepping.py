@@ -174,6 +174,7 @@ def _step(
     force = jnp.asarray(disturbance.load_force_n, jnp.float64)
     plant = advance_sample(rig, state.plant, applied, force, state.samples.astype(float))
     angle = rig.linkage.sensor_angle(plant.displacement)
+    # As in a log: exact for an angle that is linear between samples.
     corner = rig.sensors.filter_frequency * SAMPLE_S
     decay = jnp.exp(-corner)
     ramp_gain = 1 - (1 - decay) / corner

@@ -77,6 +77,7 @@ class Oil(eqx.Module):
             + compliance * TANK_PRESSURE_PA
         )
         c = amount * self.air_fraction * TANK_PRESSURE_PA + gas
+        # Of the two forms of one root that in which nothing cancels.
         root = jnp.sqrt(b * b + 4 * a * c)
         return jnp.where(b > 0, (root + jnp.abs(b)) / (2 * a), 2 * c / (root + jnp.abs(b)))
 
@@ -90,12 +91,8 @@ def orifice_flow(
 ) -> tuple[Values, Values]:
     """Return the flow through an orifice, m³/s, and its derivative by the pressure drop, m³/(s·Pa).
 
-    Q = g Δp/(Δp² + Δp_l²)^¼, which is g √Δp but linear within Δp_l, so that it can be differentiated at zero.
-
-    Args:
-        conductance: g = C_d a √(2/ρ).
-        drop: Δp, Pa, of either sign.
-        laminar_drop: Δp_l, Pa.
+    Q = g Δp/(Δp² + Δp_l²)^¼, g = C_d a √(2/ρ), Δp of either sign: g √Δp, but linear within Δp_l, so that it
+    can be differentiated at zero.
     """
     square = drop * drop + laminar_drop * laminar_drop
     root = jnp.sqrt(jnp.sqrt(square))
@@ -241,6 +238,7 @@ class Spool(eqx.Module):
     def discretise(self, step_s: Values | float) -> SpoolStep:
         """Return the exact step: exp(A dt) by its closed form with μ = ωn √(ζ² − 1), real or imaginary."""
         omega, damped = self.natural_frequency, self.damping_ratio * self.natural_frequency
+        # At critical damping μ is zero, by which the sine is divided: it is kept off it.
         mu = omega * jnp.sqrt(jnp.asarray(self.damping_ratio**2 - 1 + 1e-12, dtype=jnp.complex128))
         decay = jnp.exp(-damped * step_s)
         cosine = decay * jnp.real(jnp.cosh(mu * step_s))

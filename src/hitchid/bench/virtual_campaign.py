@@ -28,7 +28,7 @@ from hitchid.bench.measurement import measure
 from hitchid.bench.parameter_files import load_rig
 from hitchid.bench.plant import Rig, rig_limits
 from hitchid.bench.simulation import simulate
-from hitchid.bench.valves import TANK_PRESSURE_PA
+from hitchid.bench.valves import TANK_PRESSURE_PA, Values
 from hitchid.errors import InputError
 from hitchid.logs import write_table
 from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT, LIFTING, RAMP, Record
@@ -43,6 +43,13 @@ COVARIATES = """covariates = [
     { column = "consumer_l_min", unit = "l/min" },
 ]
 """
+
+
+def in_condition(rig: Rig, values: tuple[Values, ...]) -> Rig:
+    """Return a rig with another mass of the implement, kg, oil temperature, °C, and pump flow, m³/s."""
+    return eqx.tree_at(
+        lambda rig: (rig.linkage.implement_mass, rig.oil.temperature, rig.supply.pump_flow), rig, values
+    )
 
 
 class Condition(NamedTuple):
@@ -106,11 +113,7 @@ class Conditions:
                     f"got {consumer:g}"
                 )
             values = (mass, oil_c, (pump_l_min - consumer) * LITRES_PER_MIN)
-            changed = eqx.tree_at(
-                lambda rig: (rig.linkage.implement_mass, rig.oil.temperature, rig.supply.pump_flow),
-                rig,
-                tuple(map(jnp.asarray, values)),
-            )
+            changed = in_condition(rig, tuple(map(jnp.asarray, values)))
             flow = f"-{consumer:g}lpm" if self.consumer_l_min != (0.0,) else ""
             yield Condition(f"{mass:g}kg-{oil_c:g}C{flow}", changed, oil_c, consumer)
 
@@ -294,6 +297,7 @@ def _dynamic(rig: Rig, direction: str, static: StaticResult, tests: int, seed: i
         for _ in range(tests)
     ]
     names = [f"{direction}-{number:02d}" for number in range(1, tests + 1)]
+    # Noise of their own: that of the seed itself is in the ramps.
     return _logs(rig, names, commands, [_start(rig, direction)] * tests, seed + 1)
 
 
@@ -305,11 +309,13 @@ def _cycles(rig: Rig, static: Mapping[str, StaticResult], tests: int, seed: int)
     rng = np.random.default_rng([seed, len(DIRECTIONS)])
     commands, starts = [], []
     for _ in range(tests):
+        # From somewhere in the middle the first stroke may go either way.
         start = rng.uniform(0.3, 0.7) * stroke_mm
         command = cycle_commands(
             static,
             highest,
             start_mm=start,
+            # Travel is predicted from ramps; what it is wrong by must not reach a stop.
             displacement_range=(0.15 * stroke_mm, 0.85 * stroke_mm),
             duration_s=CYCLE_S,
             seed=int(rng.integers(2**31)),

@@ -16,7 +16,7 @@ from hitchid._support.records import short_repr
 from hitchid.bench.plant import Rig, rig_limits
 from hitchid.bench.simulation import SAMPLE_S
 from hitchid.bench.stepping import BenchState, reset, step
-from hitchid.bench.virtual_campaign import LITRES_PER_MIN
+from hitchid.bench.virtual_campaign import LITRES_PER_MIN, in_condition
 from hitchid.errors import InputError
 from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT, Record
 
@@ -145,25 +145,18 @@ def _work(
 ) -> tuple[Float[Array, "n 2"], Float[Array, " n"], Float[Array, " n"]]:
     """Return currents, A, measured displacement and true displacement, mm, at each sample."""
 
-    def at(row: Float[Array, "3"]) -> Rig:
-        return eqx.tree_at(
-            lambda rig: (rig.linkage.implement_mass, rig.oil.temperature, rig.supply.pump_flow),
-            rig,
-            tuple(row),
-        )
-
     def advance(
         state: tuple[BenchState, Array, _Operator], row: Float[Array, "3"]
     ) -> tuple[tuple[BenchState, Array, _Operator], tuple[Array, Array, Array]]:
         bench, measured, operator = state
         operator, currents = _operate(plan, operator, bench.plant.displacement)
-        later, measurement = step(at(row), bench, currents)
+        later, measurement = step(in_condition(rig, tuple(row)), bench, currents)
         # The reading of a current that is held until the next sample is that of its end, as in a log.
         shown = (measurement.currents_a, measured, 1e3 * bench.plant.displacement)
         return (later, measurement.displacement_mm, operator), shown
 
     start = START * rig.cylinder.stroke
-    bench, measurement = reset(at(changing[0]), key, initial_displacement_m=start)
+    bench, measurement = reset(in_condition(rig, tuple(changing[0])), key, initial_displacement_m=start)
     operator = _Operator(jnp.zeros((), int), jnp.zeros((), bool), jnp.zeros((), int), start)
     return jax.lax.scan(advance, (bench, measurement.displacement_mm, operator), changing)[1]
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import Force, Rig
+from hitchid.cli import options
 
 
 class Protocol(Enum):
@@ -36,48 +36,52 @@ class LogFormat(Enum):
     TDMS = "tdms"
 
 
+Out = Annotated[Path, typer.Argument(help="Folder to write.", show_default=False)]
+Tests = Annotated[
+    int | None,
+    typer.Option(
+        "--tests",
+        min=1,
+        max=10_000,
+        help="Number of tests per direction, or of cycles [20]; of ramps per direction [3].",
+    ),
+]
+Mode = Annotated[TestedDirections, typer.Option("--mode", help="Direction to excite.")]
+Implements = Annotated[
+    list[float] | None,
+    typer.Option("--implement-kg", help="Mass of the implement; several, once each [that of the rig]."),
+]
+Oil = Annotated[
+    list[float] | None,
+    typer.Option("--oil-c", help="Oil temperature; several, once each [that of the rig]."),
+]
+Consumer = Annotated[
+    list[float] | None,
+    typer.Option("--consumer-l-min", help="Flow that a second consumer takes from the pump [0]."),
+]
+
+
 def bench(
-    out: Annotated[Path, typer.Argument(help="Folder to write.", show_default=False)],
-    tests: Annotated[
-        int | None,
-        typer.Option(
-            "--tests",
-            min=1,
-            max=10_000,
-            help="Number of tests per direction, or of cycles [20]; of ramps per direction [3].",
-        ),
-    ] = None,
+    out: Out,
+    tests: Tests = None,
     protocol: Annotated[Protocol, typer.Option("--protocol", help="Kind of test.")] = Protocol.PRBS,
-    mode: Annotated[
-        TestedDirections, typer.Option("--mode", help="Direction to excite.")
-    ] = TestedDirections.BOTH,
-    rig: Rig = "nominal",
-    implements_kg: Annotated[
-        list[float] | None,
-        typer.Option("--implement-kg", help="Mass of the implement; several, once each [that of the rig]."),
-    ] = None,
-    oil_c: Annotated[
-        list[float] | None,
-        typer.Option("--oil-c", help="Oil temperature; several, once each [that of the rig]."),
-    ] = None,
-    consumer_l_min: Annotated[
-        list[float] | None,
-        typer.Option("--consumer-l-min", help="Flow that a second consumer takes from the pump [0]."),
-    ] = None,
+    mode: Mode = TestedDirections.BOTH,
+    rig: options.Rig = "nominal",
+    implements_kg: Implements = None,
+    oil_c: Oil = None,
+    consumer_l_min: Consumer = None,
     log_format: Annotated[LogFormat, typer.Option("--format", help="Format of the logs.")] = LogFormat.CSV,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of every random draw.")] = 0,
-    force: Force = False,
+    seed: options.Seed = 0,
+    force: options.Force = False,
 ) -> None:
     """Run tests on the virtual test bench; write one log a test and campaign.toml.
 
     With operating conditions all tests are run in every combination of them, and the logs have cylinder
     pressure, oil temperature and consumer flow, too.
     """
-    from hitchid._support.files import check_folder, check_inputs
     from hitchid.cli import terminal as display
 
-    check_folder(out, result_kind="campaign.toml", force=force)
-    check_inputs(out, [Path(rig)] if rig.endswith(".toml") else [])
+    options.check_output(out, options.rig_files(rig), kind="campaign.toml", force=force)
     prepare_jax()
     from hitchid.bench.virtual_campaign import REPEATS, TESTS, Conditions, write_campaign
     from hitchid.logs.record import DIRECTIONS

@@ -7,18 +7,8 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import (
-    AsJson,
-    AsPdf,
-    AsXlsx,
-    Force,
-    Interactive,
-    Quiet,
-    Signals,
-    Strict,
-    command_line,
-    report_formats,
-)
+from hitchid.cli import options
+from hitchid.cli.program import command_line
 from hitchid.errors import InputError
 
 
@@ -32,33 +22,29 @@ def compare(
         ),
     ],
     out: Annotated[Path, typer.Option("--out", help="Folder to write: report.html, comparison.json.")],
-    as_pdf: AsPdf = False,
-    as_xlsx: AsXlsx = False,
-    interactive: Interactive = False,
-    signals: Signals = None,
-    strict: Strict = False,
-    force: Force = False,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
+    as_pdf: options.AsPdf = False,
+    as_xlsx: options.AsXlsx = False,
+    interactive: options.Interactive = False,
+    signals: options.Signals = None,
+    strict: options.Strict = False,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Compare models with each other on tests that none of them has used."""
-    from hitchid._support.files import check_folder, check_inputs
     from hitchid.cli import terminal as display
 
-    check_folder(out, result_kind="comparison.json", force=force)
-    check_inputs(out, [*paths, signals])
+    options.check_output(out, [*paths, signals], kind="comparison.json", force=force)
     prepare_jax()
     from hitchid._support.progress import ProgressUpdate
-    from hitchid.logs import read
     from hitchid.model import load
     from hitchid.report import write_report
     from hitchid.validation import compare as run
 
-    formats = report_formats(as_pdf=as_pdf, as_xlsx=as_xlsx, interactive=interactive)
+    formats = options.report_formats(as_pdf=as_pdf, as_xlsx=as_xlsx, interactive=interactive)
     folders, logs = _split(paths)
     models = [load(folder) for folder in folders]
-    campaign = read(logs, signals=signals, strict=strict)
-    display.show_left_out(campaign, quiet=quiet)
+    campaign = display.read_campaign(logs, signals=signals, strict=strict, quiet=quiet)
     with display.progress(quiet=quiet) as report:
         comparison = run(models, campaign, [str(folder) for folder in folders], progress=report)
         report(ProgressUpdate("report", 0.98))

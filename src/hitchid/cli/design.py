@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import AsJson, Force, ModelFolder
+from hitchid.cli import options
 
 
 class OneDirection(Enum):
@@ -25,55 +25,56 @@ class Purpose(Enum):
     CONTROL = "control"
 
 
+Direction = Annotated[
+    OneDirection | None,
+    typer.Option("--direction", help="Direction to test [the one with the least determined parameter]."),
+]
+Reduced = Annotated[
+    str | None,
+    typer.Option(
+        "--parameter", help="Parameter whose error to reduce, such as time_constant [least determined]."
+    ),
+]
+For = Annotated[
+    Purpose | None,
+    typer.Option("--for", help="Test for a controller: of the parameter that its margins depend on most."),
+]
+Highest = Annotated[
+    float | None,
+    typer.Option("--highest", help="Largest command allowed, in the model's unit [largest in the tests]."),
+]
+Travel = Annotated[
+    float | None,
+    typer.Option("--travel", min=0, help="Largest travel allowed, in the model's unit [from the tests]."),
+]
+Longest = Annotated[
+    float | None,
+    typer.Option("--longest", min=0, help="Longest duration allowed, s [twice that of the tests]."),
+]
+Out = Annotated[Path | None, typer.Option("--out", help="CSV file for the command of the best test.")]
+
+
 def design(
-    model: ModelFolder,
-    direction: Annotated[
-        OneDirection | None,
-        typer.Option("--direction", help="Direction to test [the one with the least determined parameter]."),
-    ] = None,
-    parameter: Annotated[
-        str | None,
-        typer.Option(
-            "--parameter", help="Parameter whose error to reduce, such as time_constant [least determined]."
-        ),
-    ] = None,
-    purpose: Annotated[
-        Purpose | None,
-        typer.Option(
-            "--for", help="Test for a controller: of the parameter that its margins depend on most."
-        ),
-    ] = None,
-    highest: Annotated[
-        float | None,
-        typer.Option(
-            "--highest", help="Largest command allowed, in the model's unit [largest in the tests]."
-        ),
-    ] = None,
-    travel: Annotated[
-        float | None,
-        typer.Option("--travel", min=0, help="Largest travel allowed, in the model's unit [from the tests]."),
-    ] = None,
-    longest: Annotated[
-        float | None,
-        typer.Option("--longest", min=0, help="Longest duration allowed, s [twice that of the tests]."),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="CSV file for the command of the best test.")
-    ] = None,
+    model: options.ModelFolder,
+    direction: Direction = None,
+    parameter: Reduced = None,
+    purpose: For = None,
+    highest: Highest = None,
+    travel: Travel = None,
+    longest: Longest = None,
+    out: Out = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the candidate tests.")] = 0,
-    force: Force = False,
-    as_json: AsJson = False,
+    force: options.Force = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Propose the next test: the one that most reduces the error of the least determined parameter.
 
     For a controller, it is that of the parameter on which its stability margins depend most.
     """
-    from hitchid._support.files import check_file, check_inputs
     from hitchid.cli import terminal as display
 
     if out is not None:
-        check_file(out, force=force)
-        check_inputs(out, [model])
+        options.check_output(out, [model], force=force)
     prepare_jax()
     from hitchid.control import limitation
     from hitchid.control.next_test import ExcitationLimits, write_command

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import AsJson, Force, ModelFolder, Quiet
+from hitchid.cli import options
 from hitchid.errors import InputError
 
 
@@ -30,39 +30,43 @@ class Numbers(Enum):
     SINGLE = "single"
 
 
+To = Annotated[
+    Target, typer.Option("--to", help="C99 sources, FMI 2.0 or 3.0 unit, or the networks as ONNX.")
+]
+Out = Annotated[Path, typer.Option("--out", help="Folder to write; of an FMU the file, NAME.fmu.")]
+Precision = Annotated[
+    Numbers,
+    typer.Option("--precision", help="Physics in double and networks in single precision, or all in one."),
+]
+NoCompensators = Annotated[
+    bool, typer.Option("--no-compensators", help="The physical model and its filter alone.")
+]
+Controller = Annotated[
+    Path | None,
+    typer.Option("--controller", help="Controller file of `hitchid tune`, written as C too; with --to c."),
+]
+Platforms = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--platforms",
+        help="Of the FMU's binaries, once each: linux64, win64, darwin64, aarch64-linux, aarch64-darwin "
+        "[all with hitchid[fmu]; else this one].",
+    ),
+]
+
+
 def export(
-    model: ModelFolder,
-    to: Annotated[
-        Target, typer.Option("--to", help="C99 sources, FMI 2.0 or 3.0 unit, or the networks as ONNX.")
-    ],
-    out: Annotated[Path, typer.Option("--out", help="Folder to write; of an FMU the file, NAME.fmu.")],
+    model: options.ModelFolder,
+    to: To,
+    out: Out,
     name: Annotated[str, typer.Option("--name", help="Prefix of all names in the code.")] = "hitch",
-    precision: Annotated[
-        Numbers,
-        typer.Option(
-            "--precision", help="Physics in double and networks in single precision, or all in one."
-        ),
-    ] = Numbers.MIXED,
-    no_compensators: Annotated[
-        bool, typer.Option("--no-compensators", help="The physical model and its filter alone.")
-    ] = False,
-    controller: Annotated[
-        Path | None,
-        typer.Option(
-            "--controller", help="Controller file of `hitchid tune`, written as C too; with --to c."
-        ),
-    ] = None,
-    platforms: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--platforms",
-            help="Of the FMU's binaries, once each: linux64, win64, darwin64, aarch64-linux, aarch64-darwin "
-            "[all with hitchid[fmu]; else this one].",
-        ),
-    ] = None,
-    force: Force = False,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
+    precision: Precision = Numbers.MIXED,
+    no_compensators: NoCompensators = False,
+    controller: Controller = None,
+    platforms: Platforms = None,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Export a model to code that runs without Python, and prove that it computes what the model does."""
     from hitchid._support.files import check_inputs

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hitchid.cli.program import AsJson, AsPdf, AsXlsx, Force, Quiet, command_line, report_formats
+from hitchid.cli import options
+from hitchid.cli.program import command_line
 from hitchid.errors import HitchError, InputError
 
 if TYPE_CHECKING:
@@ -39,18 +40,17 @@ def report(
         float,
         typer.Option("--level", help="False discovery rate: share of sound ones among the machines named."),
     ] = 0.1,
-    force: Force = False,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
-    as_pdf: AsPdf = False,
-    as_xlsx: AsXlsx = False,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
+    as_json: options.AsJson = False,
+    as_pdf: options.AsPdf = False,
+    as_xlsx: options.AsXlsx = False,
 ) -> None:
     """Compare the machines of a fleet: which stand out, which cohorts differ, what changes with time."""
-    from hitchid._support.files import check_folder, check_inputs
     from hitchid.cli import terminal as display
 
-    check_folder(out, result_kind=MARK, force=force)
-    check_inputs(out, [Path(path) for path in (store, machines) if path is not None and "://" not in path])
+    local = [Path(path) for path in (store, machines) if path is not None and "://" not in path]
+    options.check_output(out, local, kind=MARK, force=force)
     if not 0 < level < 1:
         raise InputError(f"--level: got {level:g}, expected between 0 and 1")
     from hitchid._support.files import canonical_json
@@ -61,7 +61,7 @@ def report(
     from hitchid.fleet.report import fleet_report
     from hitchid.report import write_report
 
-    formats = report_formats(as_pdf=as_pdf, as_xlsx=as_xlsx, interactive=False)
+    formats = options.report_formats(as_pdf=as_pdf, as_xlsx=as_xlsx, interactive=False)
     rows = read_rows(Store(store))
     if not rows:
         raise InputError(f"{store}: has no results of a fleet; expected what hitchid fleet identify wrote")
@@ -121,21 +121,16 @@ def identify(
     runner: RunnerOption = RunnerName.LOCAL,
     workers: Workers = None,
     scheduler: Scheduler = None,
-    seed: Annotated[
-        int | None, typer.Option("--seed", min=0, max=2**32 - 1, help="Seed of every random draw [0].")
-    ] = None,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
+    seed: options.OptionalSeed = None,
+    quiet: options.Quiet = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Identify a model of each machine that has none yet; another run goes on where this one stopped."""
     from hitchid.cli import terminal as display
     from hitchid.fleet import identify_fleet
-    from hitchid.identification import Settings, read_settings
 
-    settings: Settings = {} if config is None else read_settings(config)
+    settings = options.settings_of(config, seed)
     settings["rivals"] = None
-    if seed is not None:
-        settings["seed"] = seed
     with display.progress(quiet=quiet) as shown:
         result = identify_fleet(
             store,
@@ -208,8 +203,8 @@ def validate(
     runner: RunnerOption = RunnerName.LOCAL,
     workers: Workers = None,
     scheduler: Scheduler = None,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
+    quiet: options.Quiet = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Run new logs of each machine against its model; shows faults first, then the largest drift."""
     from hitchid.cli import terminal as display

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from hitchid.cli.program import Quiet
+from hitchid.cli import options
 from hitchid.errors import InputError
 
 
@@ -26,19 +26,15 @@ def hmi(
         bool, typer.Option("--allow-output", help="Allow commands to a real machine; requires --limits.")
     ] = False,
     limits: Annotated[
-        Path | None,
-        typer.Option("--limits", help="Limits file of the machine: largest commands, travel."),
+        Path | None, typer.Option("--limits", help="Limits file of the machine: largest commands, travel.")
     ] = None,
     silence_ms: Annotated[
         int,
         typer.Option(
-            "--silence-ms",
-            min=200,
-            max=5000,
-            help="Silence of the operator's page that stops, ms.",
+            "--silence-ms", min=200, max=5000, help="Silence of the operator's page that stops, ms."
         ),
     ] = 500,
-    quiet: Quiet = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Serve the operator's page on this machine and print its link; Ctrl-C ends it."""
     if allow_output and limits is None:
@@ -52,6 +48,7 @@ def hmi(
         raise InputError(f"the page needs {error.name}; install hitchid[hmi]") from error
     from hitchid.hmi.plans import read_limits
 
+    # A file that cannot be used is refused before the page is served.
     if limits is not None:
         read_limits(limits)
     settings = Settings(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hitchid.cli.program import AsJson, Force, Logs, Signals, Strict
+from hitchid.cli import options
 from hitchid.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,8 +17,8 @@ PICTURES = (".png", ".svg", ".pdf")
 
 
 def inspect(
-    logs: Logs,
-    signals: Signals = None,
+    logs: options.Logs,
+    signals: options.Signals = None,
     model: Annotated[
         Path | None, typer.Option("--model", help="Model folder with dead zones and dead times.")
     ] = None,
@@ -33,12 +33,11 @@ def inspect(
         ),
     ] = False,
     out: Annotated[Path | None, typer.Option("--out", help="File for --propose [standard output].")] = None,
-    strict: Strict = False,
-    force: Force = False,
-    as_json: AsJson = False,
+    strict: options.Strict = False,
+    force: options.Force = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Show the content of logs and audit them: problems, where they are, and what to measure again."""
-    from hitchid._support.files import check_file, check_inputs
     from hitchid.cli import terminal as display
     from hitchid.logs import inspect as look
     from hitchid.logs.audit import Severity
@@ -51,8 +50,7 @@ def inspect(
     if picture is not None:
         if picture.suffix not in PICTURES:
             raise InputError(f"--draw: expected a name ending in {', '.join(PICTURES)}, got '{picture.name}'")
-        check_file(picture, force=force)
-        check_inputs(picture, [*logs, signals, model])
+        options.check_output(picture, [*logs, signals, model], force=force)
     switches = None
     if model is not None:
         from hitchid.model import load
@@ -65,6 +63,7 @@ def inspect(
         typer.echo(json.dumps(inspection.describe(), indent=1))
     else:
         display.show_inspection(inspection)
+    # 2 for logs that cannot be used, 1 for those that can and would spoil a model.
     if inspection.faults:
         raise typer.Exit(2)
     if any(finding.severity is Severity.FAULT for finding in inspection.findings):
@@ -72,12 +71,11 @@ def inspect(
 
 
 def _propose(logs: list[Path], out: Path | None, *, force: bool) -> None:
-    from hitchid._support.files import check_file, check_inputs, write_bytes
+    from hitchid._support.files import write_bytes
     from hitchid.logs import propose
 
     if out is not None:
-        check_file(out, force=force)
-        check_inputs(out, logs)
+        options.check_output(out, logs, force=force)
     text = propose(logs)
     if out is None:
         typer.echo(text, nl=False)

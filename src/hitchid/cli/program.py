@@ -3,7 +3,6 @@
 import shlex
 import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -15,86 +14,6 @@ from hitchid.errors import HitchError, InputError
 
 if TYPE_CHECKING:
     from hitchid.estimation import SearchComparison
-    from hitchid.report import Format
-
-
-# Arguments and options shared by several commands.
-
-ModelFolder = Annotated[Path, typer.Argument(help="Model folder.", show_default=False)]
-ReportFolder = Annotated[
-    Path, typer.Option("--out", help="Folder to write: report.html, figures, metrics.json.")
-]
-Accept = Annotated[
-    Path | None, typer.Option("--accept", help="Acceptance limits in TOML; exit code 1 if one is violated.")
-]
-Rig = Annotated[str, typer.Option("--rig", help="Parameter set: a name or a TOML file.")]
-Logs = Annotated[list[Path], typer.Argument(help="Log files or folders of logs.", show_default=False)]
-Signals = Annotated[
-    Path | None,
-    typer.Option("--signals", help="Signal map, as in campaign.toml [campaign.toml in each folder]."),
-]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON instead of tables.")]
-AsPdf = Annotated[bool, typer.Option("--pdf", help="Also write report.pdf; needs hitchid[pdf].")]
-AsXlsx = Annotated[
-    bool, typer.Option("--xlsx", help="Also write tables.xlsx, a sheet for each table; needs hitchid[xlsx].")
-]
-Interactive = Annotated[
-    bool, typer.Option("--interactive", help="Also write interactive.html: tests with zoom and cursors.")
-]
-Strict = Annotated[bool, typer.Option("--strict", help="Fail if any log cannot be used.")]
-Quiet = Annotated[bool, typer.Option("--quiet", help="Print errors only.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace an existing result.")]
-Loads = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--load",
-        help="Covariate before motion, in the model's unit; of several NAME=VALUE, once each "
-        "[simulate: as measured in the log; run: mean of the identification tests].",
-    ),
-]
-
-
-def loads_of(texts: list[str] | None) -> dict[str, float] | float | None:
-    """Return the covariates of `--load`, one number or by name.
-
-    Raises:
-        InputError: a value is not a number, or only some have names.
-    """
-    if not texts:
-        return None
-    if len(texts) == 1 and "=" not in texts[0]:
-        return _number(texts[0], texts[0])
-    named = {}
-    for text in texts:
-        name, separator, value = text.rpartition("=")
-        if not separator:
-            raise InputError(f"--load: expected NAME=VALUE for each of several covariates, got {text}")
-        named[name.strip()] = _number(value, text)
-    return named
-
-
-def _number(value: str, text: str) -> float:
-    try:
-        return float(value)
-    except ValueError:
-        raise InputError(f"--load: expected a number or NAME=NUMBER, got {text}") from None
-
-
-def report_formats(*, as_pdf: bool, as_xlsx: bool, interactive: bool) -> "list[Format]":
-    """Return the requested formats of a report.
-
-    Raises:
-        InputError: a package that one of them requires is not installed.
-    """
-    from hitchid.report import check_renderers
-
-    requested: dict[Format, bool] = {"pdf": as_pdf, "xlsx": as_xlsx, "interactive": interactive}
-    formats: list[Format] = [name for name, is_requested in requested.items() if is_requested]
-    check_renderers(formats)
-    return formats
-
-
-# User cache of finished searches.
 
 
 def with_search_cache(comparison: "SearchComparison | None") -> "SearchComparison | None":
@@ -125,8 +44,7 @@ def _print_version(requested: bool) -> bool:
 @app.callback()
 def _options(
     version: Annotated[
-        bool,
-        typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True),
+        bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
     ] = False,
 ) -> None:
     """Options of the program itself."""

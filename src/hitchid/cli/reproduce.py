@@ -7,24 +7,23 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import AsJson, Force, Quiet, Rig, command_line
+from hitchid.cli import options
+from hitchid.cli.program import command_line
 
 
 def reproduce(
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
     quick: Annotated[bool, typer.Option("--quick", help="Quick study: fewer tests, short training.")] = False,
-    rig: Rig = "nominal",
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of every random draw.")] = 0,
-    force: Force = False,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
+    rig: options.Rig = "nominal",
+    seed: options.Seed = 0,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Repeat the published study on the virtual bench: every table and figure, next to the paper's values."""
-    from hitchid._support.files import check_folder, check_inputs
     from hitchid.cli import terminal as display
 
-    check_folder(out, result_kind="study.md", force=force)
-    check_inputs(out, [Path(rig)] if rig.endswith(".toml") else [])
+    options.check_output(out, options.rig_files(rig), kind="study.md", force=force)
     prepare_jax()
     from hitchid.bench.sun2025 import Plan, quick_plan
     from hitchid.bench.sun2025.reproduce import reproduce as run

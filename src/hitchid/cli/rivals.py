@@ -1,17 +1,18 @@
 """`hitchid rivals`: models of other kinds, trained on the tests of a model, beside it."""
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import Force, Logs, ModelFolder, Quiet, Signals, Strict, with_search_cache
+from hitchid.cli import options
+from hitchid.cli.program import with_search_cache
 from hitchid.errors import OutputError
 
 
 def rivals(
-    model: ModelFolder,
-    logs: Logs,
-    signals: Signals = None,
-    strict: Strict = False,
-    force: Force = False,
-    quiet: Quiet = False,
+    model: options.ModelFolder,
+    logs: options.Logs,
+    signals: options.Signals = None,
+    strict: options.Strict = False,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Train the rivals of a model on the tests that it was identified from; validate then compares them.
 
@@ -24,7 +25,6 @@ def rivals(
     prepare_jax()
     from hitchid.estimation import SearchComparison
     from hitchid.identification import train_rivals
-    from hitchid.logs import read
     from hitchid.model import load, load_trace, save
 
     hitch, trace = load(model), load_trace(model)
@@ -32,8 +32,7 @@ def rivals(
         raise OutputError(f"{model}: has trained rivals already; --force trains them again")
     # Before the training: a folder that was changed by hand is not replaced.
     check_folder(model, result_kind="model.json", force=True)
-    campaign = read(logs, signals=signals, strict=strict)
-    display.show_left_out(campaign, quiet=quiet)
+    campaign = display.read_campaign(logs, signals=signals, strict=strict, quiet=quiet)
     with display.progress(quiet=quiet) as report:
         hitch = train_rivals(hitch, campaign, searches=with_search_cache(SearchComparison()), progress=report)
     save(hitch, model, trace=trace, force=True)

@@ -13,7 +13,7 @@ import typer
 
 from hitchid._support.files import check_folder, lines
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import Force, Loads, ModelFolder, loads_of
+from hitchid.cli import options
 from hitchid.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,12 +23,12 @@ REHEARSAL_S = 2e-3  # s before a sample is due; a rehearsal takes about half of 
 
 
 def run(
-    model: ModelFolder,
+    model: options.ModelFolder,
     initial: Annotated[
         float | None,
         typer.Option("--initial", help="Initial displacement, in the model's unit [first measured]."),
     ] = None,
-    load: Loads = None,
+    load: options.Loads = None,
     adapt: Annotated[
         bool, typer.Option("--adapt", help="Follow a machine that changes, stroke by stroke.")
     ] = False,
@@ -42,7 +42,7 @@ def run(
         Path | None,
         typer.Option("--save", help="Folder for the adapted model at the end.", show_default=False),
     ] = None,
-    force: Force = False,
+    force: options.Force = False,
 ) -> None:
     """Read samples from standard input, line by line; write the displacement one sample later (JSON)."""
     if not adapt and (changes is not None or save is not None):
@@ -56,7 +56,7 @@ def run(
 
     if save is not None:
         check_folder(save, result_kind=MODEL_FILE, force=force)
-    identified, loads = load_model(model), loads_of(load)
+    identified, loads = load_model(model), options.loads_of(load)
     with ExitStack() as stack:
         adaptation = None
         counts: Counter[tuple[str, str]] = Counter()

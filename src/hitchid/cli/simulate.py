@@ -6,21 +6,21 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import Force, Loads, ModelFolder, Signals, loads_of
+from hitchid.cli import options
 from hitchid.errors import InputError
 
 DEFAULT_COVERAGE = 90  # percent of the samples
 
 
 def simulate(
-    model: ModelFolder,
+    model: options.ModelFolder,
     log: Annotated[Path, typer.Argument(help="One log, or commands alone.", show_default=False)],
     out: Annotated[Path, typer.Option("--out", help="CSV file to write: the log and the prediction.")],
     initial: Annotated[
         float | None,
         typer.Option("--initial", help="Initial displacement, in the model's unit [as measured in the log]."),
     ] = None,
-    load: Loads = None,
+    load: options.Loads = None,
     horizon: Annotated[
         str,
         typer.Option(
@@ -34,15 +34,13 @@ def simulate(
         float | None,
         typer.Option("--coverage", min=50, max=95, help="Coverage of the band, percent of the samples [90]."),
     ] = None,
-    signals: Signals = None,
-    force: Force = False,
+    signals: options.Signals = None,
+    force: options.Force = False,
 ) -> None:
     """Write the predicted displacement beside a log's columns; with --initial commands alone are enough."""
-    from hitchid._support.files import check_file, check_inputs
     from hitchid.cli import terminal as display
 
-    check_file(out, force=force)
-    check_inputs(out, [model, log, signals])
+    options.check_output(out, [model, log, signals], force=force)
     if horizon != "free" and not (horizon.isdecimal() and int(horizon) > 0):
         raise InputError(f"--horizon: expected 'free' or a whole number of samples above 0, got '{horizon}'")
     if coverage is not None and not bands:
@@ -55,7 +53,7 @@ def simulate(
         load_model(model),
         log,
         out,
-        initial=InitialValues(initial, loads_of(load)),
+        initial=InitialValues(initial, options.loads_of(load)),
         horizon=None if horizon == "free" else int(horizon),
         coverage=(DEFAULT_COVERAGE if coverage is None else coverage) / 100 if bands else None,
         signals=signals,

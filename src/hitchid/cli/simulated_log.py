@@ -12,10 +12,10 @@ from hitchid._support.files import check_inputs, write_file
 from hitchid.errors import InputError, LogError
 from hitchid.logs import ReaderProcess, assemble, read_table, settings_of
 from hitchid.logs.formats import record_name
-from hitchid.logs.formats.text import SUFFIXES, read_rows, write_rows
+from hitchid.logs.formats.text import SUFFIXES, TextRows, read_rows, write_rows
 from hitchid.logs.log_table import LogTable, records_of
 from hitchid.logs.record import DISPLACEMENT, Record
-from hitchid.logs.signal_map import CampaignFile, SignalMap, command_columns
+from hitchid.logs.signal_map import CampaignFile, Column, SignalMap, command_columns
 from hitchid.logs.units import UNITS
 from hitchid.model import Hitch
 from hitchid.model.inputs import Load, covariates_of, loads_by_name
@@ -105,20 +105,24 @@ def simulate_log(
         ]
     base = f"displacement_{unit}" if measured is None else measured.column
     added = [added_name(base, kind) for kind in ("predicted", "lower", "upper")[: len(columns)]]
+    header, rows = _with_cells(text, table, settings.signals.time, columns)
+    write_file(out, lambda path: write_rows(path, [*header, *added], rows), force=force)
+    return SimulatedLog(int(np.count_nonzero(~np.isnan(columns[0]))), unit, tuple(notices))
+
+
+def _with_cells(
+    text: TextRows | None, table: LogTable, time: Column, columns: np.ndarray
+) -> tuple[Sequence[str], list[list[str]]]:
+    """Return the header of a log, and its rows with the cells of predicted columns behind."""
     cells = [["" if np.isnan(value) else f"{value:.9g}" for value in row] for row in columns.T.tolist()]
     if text is None:
-        time = table.time_s / UNITS[settings.signals.time.unit or "s"].factor
-        series = {settings.signals.time.column: time, **table.columns}
-        header = list(series)
-        rows = [list(map(repr, row)) for row in zip(*map(np.ndarray.tolist, series.values()), strict=True)]
-    else:
-        # Lines without a sample, such as comments, stay and have no prediction.
-        header, rows = text.header, text.rows
-        by_line = {table.line_of(sample): row_cells for sample, row_cells in enumerate(cells)}
-        cells = [by_line.get(line, [""] * len(columns)) for line in text.lines]
-    all_rows = [[*row, *row_cells] for row, row_cells in zip(rows, cells, strict=True)]
-    write_file(out, lambda path: write_rows(path, [*header, *added], all_rows), force=force)
-    return SimulatedLog(int(np.count_nonzero(~np.isnan(columns[0]))), unit, tuple(notices))
+        series = {time.column: table.time_s / UNITS[time.unit or "s"].factor, **table.columns}
+        samples = zip(*map(np.ndarray.tolist, series.values()), strict=True)
+        return list(series), [[*map(repr, row), *own] for row, own in zip(samples, cells, strict=True)]
+    # Lines without a sample, such as comments, stay and have no prediction.
+    by_line, none = {table.line_of(sample): own for sample, own in enumerate(cells)}, [""] * len(columns)
+    lines = zip(text.rows, text.lines, strict=True)
+    return text.header, [[*row, *by_line.get(line, none)] for row, line in lines]
 
 
 def _required_signals(
@@ -200,6 +204,7 @@ def _predictions(
         else:
             band = () if coverage is None else model.band(record, horizon=horizon, coverage=coverage)
             values = [model.predict(record, horizon=horizon), *band]
+        # Stamps of rows lie up to half a step beside the clock of the record.
         edge = record.step_s / 2
         inside = (time_s > record.time_s[0] - edge) & (time_s < record.time_s[-1] + edge)
         columns[:, inside] = [np.interp(time_s[inside], record.time_s, series) for series in values]
@@ -209,9 +214,7 @@ def _predictions(
 def added_name(column: str, kind: str) -> str:
     """Return the name of an added column: `displacement_predicted_mm`, else `<name>_predicted`.
 
-    Args:
-        column: column of the measured displacement.
-        kind: `predicted`, or `lower` or `upper` for the limits of the band.
+    Kinds are `predicted`, and `lower` and `upper` for the limits of the band.
     """
     stem, separator, unit = column.partition("displacement_")
     return f"displacement_{kind}_{unit}" if separator and not stem else f"{column}_{kind}"

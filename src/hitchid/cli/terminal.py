@@ -61,7 +61,10 @@ def show_inspection(inspection: "Inspection") -> None:
         for finding in inspection.findings:
             logs = f"{len(finding.records)} logs" if finding.records else "the campaign"
             signal = [finding.signal.replace("_", " ")] if finding.signal else []
-            location = "\n".join([finding.record or logs, *signal, *_time_spans(finding)])
+            spans = [f"{start:.6g} … {stop:.6g} s" for start, stop in finding.spans if finding.record]
+            if len(spans) > MAX_SPANS:
+                spans[MAX_SPANS:] = [f"and {len(spans) - MAX_SPANS} more"]
+            location = "\n".join([finding.record or logs, *signal, *spans])
             severity = f"{finding.severity.value}:\n{finding.check}"
             table.add_row(severity, location, f"{finding.what}\n→ {finding.advice}")
             table.add_section()
@@ -144,9 +147,13 @@ def _change(value: float | None, error: float | None, scale: float, digits: int)
     return f"{scale * value:+.{digits}f} ± {scale * error:.{digits}f}"
 
 
-def show_left_out(campaign: "Campaign", *, quiet: bool = False) -> None:
-    """Write the logs left out, their reasons and number to stderr; nothing if `quiet`."""
+def read_campaign(logs: Sequence[Path], *, signals: Path | None, strict: bool, quiet: bool) -> "Campaign":
+    """Read logs; write those left out, with their reasons and number, to stderr, but not if `quiet`."""
+    from hitchid.logs import read
+
+    campaign = read(logs, signals=signals, strict=strict)
     write_messages("warning", () if quiet else campaign.notices)
+    return campaign
 
 
 def show_audit(findings: Iterable["AuditFinding"], *, quiet: bool = False) -> None:
@@ -156,14 +163,6 @@ def show_audit(findings: Iterable["AuditFinding"], *, quiet: bool = False) -> No
             where = f"{finding.record}: " if finding.record else ""
             message = f"{where}{finding.check}: {finding.what}; {finding.advice}"
             write_messages(finding.severity.value, [message])
-
-
-def _time_spans(finding: "AuditFinding") -> list[str]:
-    if not finding.record:
-        return []
-    more = len(finding.spans) - MAX_SPANS
-    spans = [f"{start:.6g} … {stop:.6g} s" for start, stop in finding.spans[:MAX_SPANS]]
-    return [*spans, f"and {more} more"] if more > 0 else spans
 
 
 def show_identification(identification: "Identification", out: Path) -> None:
@@ -378,6 +377,7 @@ def _table(*header: str, kind: box.Box = box.HEAVY_HEAD) -> RichTable:
 
 
 def _console() -> PlainConsole:
+    # What goes to a file or a pipe has one width, whatever terminal it is started from.
     return PlainConsole(width=None if sys.stdout.isatty() else 120)
 
 

@@ -8,34 +8,32 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import AsJson, Force, Loads, ModelFolder, Quiet, command_line, loads_of
+from hitchid.cli import options
+from hitchid.cli.program import command_line
 
 
 def tune(
-    model: ModelFolder,
+    model: options.ModelFolder,
     out: Annotated[Path, typer.Option("--out", help="Controller file to write, TOML.")],
     report_folder: Annotated[
         Path | None,
         typer.Option("--report", help="Folder to write: report.html with margins, Bode and Nichols plots."),
     ] = None,
-    load: Loads = None,
+    load: options.Loads = None,
     draws: Annotated[
         int, typer.Option("--draws", min=20, max=10000, help="Drawn parameter vectors of the margins.")
     ] = 200,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the draws.")] = 0,
-    force: Force = False,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Tune a position controller: the fastest that keeps its margins over draws of the parameters."""
-    from hitchid._support.files import check_file, check_folder, check_inputs
     from hitchid.cli import terminal as display
 
-    check_file(out, force=force)
-    check_inputs(out, [model])
+    options.check_output(out, [model], force=force)
     if report_folder is not None:
-        check_folder(report_folder, result_kind=out.name, force=force)
-        check_inputs(report_folder, [model])
+        options.check_output(report_folder, [model], kind=out.name, force=force)
     prepare_jax()
     from hitchid.control import load_controller, save_controller
     from hitchid.control import tune as run
@@ -45,7 +43,7 @@ def tune(
 
     hitch = load_model(model)
     with display.progress(quiet=quiet) as report:
-        tuning = run(hitch, load=loads_of(load), draws=draws, seed=seed, progress=report)
+        tuning = run(hitch, load=options.loads_of(load), draws=draws, seed=seed, progress=report)
     # Relative to the file, so that both can move together.
     folder = Path(os.path.relpath(model.resolve(), out.resolve().parent)).as_posix()
     save_controller(tuning, hitch, out, model_folder=folder, force=force)

@@ -6,67 +6,49 @@ from typing import Annotated
 import typer
 
 from hitchid._support.jax_setup import prepare_jax
-from hitchid.cli.program import (
-    Accept,
-    AsJson,
-    AsPdf,
-    AsXlsx,
-    Force,
-    Interactive,
-    Logs,
-    ModelFolder,
-    Quiet,
-    ReportFolder,
-    Signals,
-    Strict,
-    command_line,
-    report_formats,
-)
+from hitchid.cli import options
+from hitchid.cli.program import command_line
 from hitchid.errors import InputError
 
 
 def validate(
-    model: ModelFolder,
-    logs: Logs,
-    out: ReportFolder,
-    accept: Accept = None,
+    model: options.ModelFolder,
+    logs: options.Logs,
+    out: options.ReportFolder,
+    accept: options.Accept = None,
     junit: Annotated[
         Path | None, typer.Option("--junit", help="JUnit XML file for the results of the limits.")
     ] = None,
-    as_pdf: AsPdf = False,
-    as_xlsx: AsXlsx = False,
-    interactive: Interactive = False,
-    signals: Signals = None,
-    strict: Strict = False,
-    force: Force = False,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
+    as_pdf: options.AsPdf = False,
+    as_xlsx: options.AsXlsx = False,
+    interactive: options.Interactive = False,
+    signals: options.Signals = None,
+    strict: options.Strict = False,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Validate a model on tests that were not used for identification."""
-    from hitchid._support.files import check_file, check_folder, check_inputs, write_bytes
+    from hitchid._support.files import write_bytes
     from hitchid.cli import terminal as display
 
     inputs = [model, *logs, accept, signals]
-    check_folder(out, result_kind="metrics.json", force=force)
-    check_inputs(out, inputs)
+    options.check_output(out, inputs, kind="metrics.json", force=force)
     if junit is not None:
         if accept is None:
             raise InputError("--junit needs --accept")
-        check_file(junit, force=force)
-        check_inputs(junit, inputs)
+        options.check_output(junit, inputs, force=force)
     prepare_jax()
     from hitchid._support.progress import ProgressUpdate
-    from hitchid.logs import read
     from hitchid.model import load, load_trace
     from hitchid.report import read_trace, render, write_report
     from hitchid.validation import read_limits
     from hitchid.validation import validate as run
 
-    formats = report_formats(as_pdf=as_pdf, as_xlsx=as_xlsx, interactive=interactive)
+    formats = options.report_formats(as_pdf=as_pdf, as_xlsx=as_xlsx, interactive=interactive)
     limits = None if accept is None else read_limits(accept)
     hitch, trace = load(model), read_trace(load_trace(model))
-    campaign = read(logs, signals=signals, strict=strict)
-    display.show_left_out(campaign, quiet=quiet)
+    campaign = display.read_campaign(logs, signals=signals, strict=strict, quiet=quiet)
     if limits is not None:
         limits.check_convertible(campaign.records[0].unit)
     with display.progress(quiet=quiet) as report:

@@ -113,7 +113,9 @@ class Axis(eqx.Module):
         structure = benchmark.structure.require_linear()
         denominator = structure.transfer_function(tuple(benchmark.values.tolist()))[1][::-1]
         a1, a2 = (*(float(factor / denominator[1]) for factor in denominator[2:4]), 0.0, 0.0)[:2]
-        return a1 + spool_lag_s(benchmark), a2
+        nonlinearity = benchmark.nonlinearity
+        spool_s = 0.0 if nonlinearity is None else float(nonlinearity.named("spool_lag")[0])
+        return a1 + spool_s, a2
 
     def initial_state(self, displacement: Scalar) -> AxisState:
         """Return the state at rest with a closed valve."""
@@ -170,9 +172,3 @@ def buffer_of(dead_time_samples: float) -> int:
 def undelayed(benchmark: PhysicalModel) -> PhysicalModel:
     """Return the benchmark without its dead time."""
     return eqx.tree_at(lambda model: model.dead_time_s, benchmark, jnp.zeros(()))
-
-
-def spool_lag_s(benchmark: PhysicalModel) -> float:
-    """Return the lag of the valve's spool, s; zero without one."""
-    nonlinearity = benchmark.nonlinearity
-    return 0.0 if nonlinearity is None else float(nonlinearity.named("spool_lag")[0])

@@ -76,6 +76,7 @@ class ReferenceLimits(eqx.Module):
         )
         speed = target_speed + jnp.sign(distance) * closing
         within = [jnp.clip(each, -self.speed[1], self.speed[0]) for each in (reference.speed, speed)]
+        # A reference that stops decelerates as the direction can in which it moved.
         limit = jnp.where(jnp.where(speed == 0, reference.speed, speed) > 0, *self.deceleration)
         acceleration = jnp.clip((within[1] - within[0]) / step_s, -limit, limit)
         return Reference(reference.position + step_s * speed, speed, acceleration)
@@ -265,12 +266,14 @@ def _step(
     predicted = position + lifting.under_way(lifting_state) + lowering.under_way(lowering_state)
     speed = lifting.speed(lifting_state) + lowering.speed(lowering_state)
     acceleration = lifting.acceleration(lifting_state) + lowering.acceleration(lowering_state)
+    # In the sample after a loss, too: what was predicted meanwhile followed no measurement.
     restarts = is_lost | state.is_lost
     start = state.reference.at_rest_where(restarts, predicted)
     led = _led_target(controller, target, target_speed)
     # A hitch that is faster than its model takes the reference with it, so that it brakes in time.
     taken = jnp.clip(predicted, jnp.minimum(start.position, led), jnp.maximum(start.position, led))
     reference = limits.step(start._replace(position=taken), led, target_speed, controller.step_s)
+    # An observer of position and speed with a double pole at 1/SMOOTHING_S: it never swings itself.
     carried = state.smoothed + controller.step_s * (speed + state.drift)
     share = controller.step_s / SMOOTHING_S
     smoothed = jnp.where(restarts, predicted, carried + 2 * share * (predicted - carried))
@@ -284,12 +287,14 @@ def _step(
     currents = _currents(controller, state.commands, wanted, position)
     still = STILL_SHARE * jnp.min(limits.speed)
     stands = (jnp.abs(state.target_speed) < still) & (target == state.target) & ~is_lost
+    # Where the valves close now, the hitch coasts on before it stands: the outer window counts.
     stops = jnp.any(state.commands > 0) & ~jnp.any(currents > 0)
     is_near = _is_near(controller, state, reference, target, smoothed, speed + drift, stops)
     is_holding, widening = stands & is_near, _widening(state, stands, is_near, controller.step_s)
     closed = is_lost | is_holding
     integral = jnp.where(closed, 0.0, integral)
     currents = jnp.where(closed, 0.0, currents)
+    # Only a rise is limited: a valve that has to close is closed at once.
     currents = jnp.minimum(currents, state.commands + controller.rate * controller.step_s)
     next_state = ControllerState(
         axes=(

@@ -117,9 +117,11 @@ def _settling_s(scenario: Scenario, errors: Float[np.ndarray, "t n"]) -> float |
     """Return the time after which no displacement is outside the tolerance; infinite at the end of a run."""
     if not scenario.amplitude:
         return None
+    # Not "larger than": an error that is no number is outside.
     outside = ~(np.abs(errors) <= scenario.tolerance)
     last = errors.shape[1] - np.argmax(outside[:, ::-1], axis=1)
     settled = np.where(outside.any(axis=1), np.where(outside[:, -1], np.inf, last), 0)
+    # The quantile is a time of the loops: between one of them and ∞ there is nothing to interpolate.
     ordered = np.sort(SAMPLE_S * settled)
     return float(ordered[int(np.ceil(SHARE * ordered.size)) - 1])
 
@@ -304,6 +306,13 @@ def drive(
         loops[name] = {scenario.name: _run(driven, rig, scenario, factors, seed) for scenario in todo}
         figures[name] = {scenario.name: Figures.of(scenario, loops[name][scenario.name]) for scenario in todo}
     return Drive({scenario.name: scenario for scenario in todo}, loops, figures, bands, times_s, *units)
+
+
+def travel_of(model: Hitch) -> tuple[float, float]:
+    """Return the lowest and the highest displacement of the tests of a model."""
+    ranges = [channel.operating_range.displacement for channel in model.channels.values()]
+    # Of both directions together: tests that lift from below and lower from above need not overlap.
+    return min(float(own.lowest) for own in ranges), max(float(own.highest) for own in ranges)
 
 
 def _run(

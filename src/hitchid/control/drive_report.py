@@ -172,16 +172,7 @@ def drive_report(
     notices: tuple[str, ...] = (),
     command: str = "",
 ) -> Document:
-    """Return the report of closed loops.
-
-    Args:
-        result: of `drive`.
-        rig: name of the bench or plant.
-        margins: direction to the margins of the controller file.
-        acceptance: result of the acceptance limits; None without limits.
-        notices: warnings.
-        command: the command line that wrote the report.
-    """
+    """Return the report of closed loops on a bench or plant, `margins` being those of the controller file."""
     unit, names = result.unit, tuple(result.figures)
     figures = Table(f"Figures of the {TESTED}", _header(unit), _rows(result, TESTED))
     areas = tuple(

@@ -54,12 +54,7 @@ class Limitation:
 
 @double_precision
 def limitation(
-    model: Hitch,
-    direction: str | None = None,
-    *,
-    load: Load | None = None,
-    draws: int = DRAWS,
-    seed: int = 0,
+    model: Hitch, direction: str | None = None, *, load: Load | None = None, draws: int = DRAWS, seed: int = 0
 ) -> Limitation:
     """Return what limits the controller in the direction where the parameters' spread costs Ms the most.
 

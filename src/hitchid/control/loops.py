@@ -53,14 +53,10 @@ def frequencies(step_s: float) -> Float[np.ndarray, " f"]:
 def plant_response(
     plant: SmallSignal, omega: Float[np.ndarray, " f"], step_s: float, *, exact_fraction: bool = True
 ) -> PlantResponse:
-    """Return the response of linear models, one or S.
+    """Return the response of linear models of one direction, one or S, over frequencies, rad/s.
 
-    Args:
-        plant: linear models of one direction, with or without a leading axis.
-        omega: rad/s, shape [F].
-        step_s: sampling time, s.
-        exact_fraction: the dead time's fraction of a sample as the plant has it, else as a controller that
-            interpolates between samples.
+    The dead time's fraction of a sample is exact, as a plant has it, else as of a controller that
+    interpolates between samples.
     """
     z = np.exp(1j * omega * step_s)
     a, b = np.asarray(plant.a), np.asarray(plant.b)
@@ -70,43 +66,36 @@ def plant_response(
     whole = jax.tree.map(np.asarray, jax.jit(discretise)(a, b, 0.0 * dead_time, step_s))
     undelayed = _held(whole.transition, whole.gamma0[..., None, :] + 0j, z)
     samples = dead_time[..., None] / step_s
+    # Rounding must not turn whole samples into one less and a fraction of nearly one.
     count = np.floor(samples + 1e-9)
     fraction = np.clip(samples - count, 0.0, 1.0)
     if exact_fraction:
         parts = jax.tree.map(np.asarray, jax.jit(discretise)(a, b, dead_time, step_s))
+        # Within a sample the command of the one before acts first.
         inputs = parts.gamma0[..., None, :] + parts.gamma1[..., None, :] / z[:, None]
         delay = _held(parts.transition, inputs, z) / undelayed * z**-count
     else:
         delay = z**-count * (1 - fraction + fraction / z)
     lag_s = np.asarray(plant.spool_lag_s)[..., None]
+    # Spools without a lag stand beside those with one; theirs is not to be divided by.
     safe = np.where(lag_s > 0, lag_s, 1.0)
     decay = np.where(lag_s > 0, np.exp(-step_s / safe), 0.0)
     share = np.where(lag_s > 0, safe / step_s * (1 - decay), 0.0)
     spool = 1 - share + share * (1 - decay) / (z - decay)
     gain = np.asarray(plant.gain)[..., None]
+    # Speed under a constant current, all states but the position being at rest.
     steady = -np.linalg.solve(a[..., 1:, 1:], b[..., 1:, None])
     slope = b[..., 0] + (a[..., :1, 1:] @ steady)[..., 0, 0]
     return PlantResponse(gain * spool * undelayed, delay, gain[..., 0] * slope)
 
 
 def open_loop(
-    gains: Gains,
-    plant: PlantResponse,
-    model: PlantResponse,
-    omega: Float[np.ndarray, " f"],
-    step_s: float,
+    gains: Gains, plant: PlantResponse, model: PlantResponse, omega: Float[np.ndarray, " f"], step_s: float
 ) -> Complex[np.ndarray, "*s f"]:
     """Return the loop L = C S P/(1 + S (C (M₀ − M) + (k_v D + k_a D²) M₀)), open at the measurement.
 
-    C = k_p + k_i h z/(z − 1), D = (1 − z⁻¹)/h, S the inverse of the valve's slope in the model, P the plant,
-    M₀ and M the controller's model without and with the dead time; see `HitchController`.
-
-    Args:
-        gains: of the direction.
-        plant: one or S plants.
-        model: of the controller.
-        omega: rad/s, shape [F].
-        step_s: h, s.
+    C = k_p + k_i h z/(z − 1), D = (1 − z⁻¹)/h, S the inverse of the valve's slope in the model, P one or S
+    plants, M₀ and M the controller's model without and with the dead time; see `HitchController`.
     """
     z = np.exp(1j * omega * step_s)
     controller = float(gains.proportional) + float(gains.integral) * step_s * z / (z - 1)
@@ -197,6 +186,7 @@ Lags = tuple[float, float]  # a₁ and a₂ of the speed's denominator 1 + a₁ 
 
 def pi_gains(bandwidth: float, lags: Lags, step_s: float) -> Gains:
     """Return the gains of PI control of an integrator at a bandwidth, rad/s."""
+    # Both methods are called alike.
     del lags, step_s
     return Gains(bandwidth, bandwidth**2 / INTEGRAL_RATIO)
 
@@ -207,6 +197,7 @@ def lqi_gains(bandwidth: float, lags: Lags, step_s: float) -> Gains:
     The states are the integral of the error, the position, the speed s and the acceleration; ω is the
     bandwidth, rad/s.
     """
+    # A lag far below the sampling time would leave the Riccati equation without a solution.
     a1, a2 = max(lags[0], step_s), max(lags[1], step_s**2)
     a = np.zeros((4, 4))
     a[[0, 1, 2], [1, 2, 3]] = 1.0
@@ -306,6 +297,7 @@ class DirectionLoops:
             )
         here, omega = channel.benchmark.at_load(jnp.asarray(row)), frequencies(model.step_s)
         models, plants = [], []
+        # A heavier load is lowered faster, which costs margins; lifted more slowly, it costs none.
         faster = (1 + HEAVIER) ** SPEED_EXPONENT if direction == LOWERING else 1.0
         for command, displacement in operating_points(channel):
             nominal = small_signal_at(here, command, displacement)
@@ -345,6 +337,7 @@ class DirectionLoops:
             low(gain), low(phase), low(delay), np.quantile(sensitivity[:, 1:], SHARE, axis=1).max(), low(disk)
         )
         first = [rows[:, 0] for rows in (gain, phase, delay, sensitivity, disk)]
+        # Of Ms, the fourth, the largest is the worst.
         nominal = Margins(*(r.max() if n == 3 else r.min() for n, r in enumerate(first)))
         return DirectionMargins(nominal, worst, self.dead_time_s)
 

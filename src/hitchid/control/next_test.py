@@ -217,6 +217,7 @@ def _candidates(
     operating_range = channel.operating_range
     highest = float(operating_range.command.highest)
     if limits.highest is not None:
+        # Limits are of the command as logged, candidates beyond the dead zone.
         highest = limits.highest - channel.dead_zone
     if not highest > 0:
         raise InputError(
@@ -229,6 +230,7 @@ def _candidates(
     longest_s = max(LENGTHS) * typical_s if limits.longest_s is None else limits.longest_s
     samples = sorted({floor(min(share * typical_s, longest_s) / step_s + ROUNDING) for share in LENGTHS})
     lengths = [step_s * max(sample_count, 1) for sample_count in samples]
+    # Evenly spread, unlike random numbers: few candidates leave no corner of the limits empty.
     points = qmc.Sobol(3, rng=np.random.default_rng(seed)).random(CANDIDATES)
     for chunk, duration_s in zip(np.array_split(points, len(lengths)), lengths, strict=True):
         proposals = [
@@ -247,6 +249,7 @@ def _candidates(
         commands = np.stack([_signal(candidate, step_s) for candidate in proposals])
         travel, jacobian = _derivatives(channel, information, _batch(channel, commands, step_s))
         for proposal, test_travel, slopes in zip(proposals, travel, jacobian, strict=True):
+            # Padding, which gives all candidates one shape, is no part of the test.
             farthest = float(np.abs(test_travel[: commands.shape[1]]).max())
             if 0 < farthest <= max_travel:
                 unpadded_travel = test_travel[: commands.shape[1]]

@@ -97,18 +97,12 @@ def drawn_hitches(
 ) -> DrawnHitch | None:
     """Return models with parameters drawn from the distribution of their estimates; None without such.
 
-    Args:
-        controller: of the model.
-        model: identified, of both directions.
-        load: covariates of the runs, as for `Hitch.simulate`; None for their mean in the tests.
-        draws: S.
-        seed: of the draws.
-        load_spread: loads of the runs are within ± this share of that of the tests, each as likely, beside
-            the scatter between tests.
-        heavier: share by which nobody's measurement tells that the load is heavier than that of the tests:
-            lifting is slower, lowering faster.
+    Loads of the runs are within ± `load_spread` of that of the tests, each as likely, beside the scatter
+    between tests. `heavier` is the share by which nobody's measurement tells that the load is heavier than
+    that of the tests: lifting is slower, lowering faster.
     """
     axes, filters = [], []
+    # The standard deviation of what is equally likely within ± a is a/√3.
     spread = SPEED_EXPONENT * load_spread / 3**0.5
     rows = loads_of_channels(model, load)
     for axis, (direction, channel), row in zip(controller.axes, model.channels.items(), rows, strict=True):
@@ -116,6 +110,7 @@ def drawn_hitches(
         if vectors is None:
             return None
         longest_s = float(vectors[:, channel.benchmark.values.size].max())
+        # One buffer, long enough for the longest dead time, as draws are mapped side by side.
         kept = replace(axis, buffer=buffer_of(longest_s / axis.step_s))
 
         def drawn(vector: Array, row: Array, axis: Axis = kept, channel: Channel = channel) -> Axis:
@@ -143,15 +138,8 @@ def run_on_model(
     """Return the measured displacement of closed loops on drawn models, shape [S, N].
 
     Each run has a load of its own, which makes a stroke faster or slower, transients and sensor noise, as
-    `LoadFilter` has them.
-
-    Args:
-        controller: from target and measurement to currents.
-        hitches: S of them.
-        key: random key.
-        target: of all runs, shape [N].
-        start: displacement at which the hitch is held at first, as the controller is told.
-        measured_start: the same as the sensor measures it; by default they are equal.
+    `LoadFilter` has them. The hitch is held at `start` at first, which the sensor measures as
+    `measured_start`, by default as the same.
     """
     measured = start if measured_start is None else measured_start
     keys = jax.random.split(key, hitches.drift.size)
@@ -216,8 +204,10 @@ def _advance(hitch: DrawnHitch, state: _State, currents: Array, normal: Array) -
     for number, (axis, filter_) in enumerate(zip(hitch.axes, hitch.filters, strict=True)):
         before = state.axes[number]
         after = axis.step(before, currents[number], state.displacement)
+        # What comes to be measured now: what was under way and what is new, less what is under way still.
         moved = axis.under_way(before) + after.increments[0] - axis.under_way(after)
         displacement = displacement + hitch.speed_factors[number] * (1 + state.loads[number]) * moved
+        # The load forgets over the way, not over time, and keeps its variance.
         kept = jnp.exp(-jnp.abs(moved) / filter_.load_length)
         spread = jnp.sqrt(1 - kept**2) * filter_.load_scatter
         loads.append(kept * state.loads[number] + spread * normal[2 * number])

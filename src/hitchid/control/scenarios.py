@@ -227,12 +227,8 @@ def scenarios(rig: Rig, slowest_mm_s: float) -> list[Scenario]:
 def plant_scenarios(lowest: float, highest: float, slowest: float, unit: str) -> list[Scenario]:
     """Return the scenarios of a plant from elsewhere: steps, ramps, a sine, holding, a lost sensor.
 
-    They have the shares of the stroke and of the speed that those of the bench have, rounded to one digit.
-
-    Args:
-        lowest, highest: ends of the displacement.
-        slowest: of the largest speeds of both directions.
-        unit: of the displacement.
+    They have the shares of the stroke and of the slower direction's largest speed that those of the bench
+    have, rounded to one digit.
     """
     middle, stroke = 0.5 * (lowest + highest), highest - lowest
     sizes = [_one_digit(share * stroke) for share in STEP_SHARES]

@@ -186,6 +186,7 @@ def highest_rad_s(loop: DirectionLoops) -> float:
 def fastest_gains(loop: DirectionLoops, gains_of: GainsOf) -> Gains | None:
     """Return the gains of the largest bandwidth with all margins; None where the smallest lacks one."""
     highest = highest_rad_s(loop)
+    # On a logarithmic scale: the range spans three decades.
     low, high = np.log([LOWEST_RAD_S, highest])
 
     def gains(log_bandwidth: float) -> Gains:
@@ -199,6 +200,7 @@ def fastest_gains(loop: DirectionLoops, gains_of: GainsOf) -> Gains | None:
         # The noise is multiplied by the gain on the position, which is not the bandwidth with every method.
         passed = tried.proportional <= highest and loop.margins(tried).passed
         low, high = (middle, high) if passed else (low, middle)
+    # The last that has passed, not one between it and the first that has not.
     return gains(low)
 
 

@@ -146,6 +146,7 @@ def to_c(
         OutputError: the folder exists, or cannot be written.
     """
     place = checks.path(folder, "folder")
+    # Before the proof, which takes seconds.
     check_folder(place, result_kind=MANIFEST, force=force)
     verified = verified_source(model, name, precision=precision, compensators=compensators)
     stated, files = manifest(verified, "c", precision), c_files(verified)

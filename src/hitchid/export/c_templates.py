@@ -54,16 +54,11 @@ class Field:
         return math.prod(self.shape)
 
 
-@dataclass(frozen=True)
-class Typed:
+@dataclass(frozen=True, kw_only=True)
+class Typed(Field):
     """A field with its C type, and how the state's address of its first number is written."""
 
-    name: str
-    kind: str
     type: str
-    dimensions: str
-    comment: str
-    count: int
     access: str
 
     @classmethod
@@ -71,9 +66,7 @@ class Typed:
         """Return a field of a structure in the state, `owner` with its dot, in code with a prefix."""
         types = {"real": f"{name}_real", "net": f"{name}_net", "int": "int32_t"}
         access = f"&state->{owner}{field.name}" + "[0]" * len(field.shape)
-        return cls(
-            field.name, field.kind, types[field.kind], field.dimensions, field.comment, field.count, access
-        )
+        return cls(**vars(field), type=types[field.kind], access=access)
 
 
 @dataclass(frozen=True)
@@ -176,6 +169,7 @@ def number(value: float | int, kind: str) -> str:
         value = max(-LARGEST_SINGLE, min(LARGEST_SINGLE, value))
         text = f"{value:.9g}"
     else:
+        # As few digits as read back to the same number.
         text = f"{value:.17g}"
         if float(shorter := f"{value:.16g}") == value:
             text = shorter

@@ -116,6 +116,7 @@ def plant_of(channel: Channel, discrete: DiscretePhysicalModel) -> Plant:
     models = along.models if isinstance(along, StrokeModel) else along
     friction = models.friction
     samples = float(benchmark.dead_time_s) / step_s
+    # Rounding must not turn whole samples into one less and a fraction of nearly one.
     fraction = min(max(samples - math.floor(samples + 1e-9), 0.0), 1.0)
     return Plant(
         form=form or "linear",
@@ -314,11 +315,7 @@ def channel_constants(
         scheduling=scheduling_of(channel),
         covariates=tuple(covariates.index(name) for name in benchmark.covariates),
         filter=filter_of(channel.load_filter, discrete.step_s),
-        ranges={
-            "command": Range.of(channel.operating_range.command),
-            "displacement": Range.of(channel.operating_range.displacement),
-            "load": Range.of_each(channel.operating_range.load),
-        },
+        ranges=Range.all_of(channel.operating_range),
         compensator=compensator_of(channel.compensator) if channel.compensator is not None else None,
         speed_compensator=None
         if channel.speed_compensator is None

@@ -11,6 +11,7 @@ from hitchid._support.files import write_files
 from hitchid.control import ControllerFile, HitchController
 from hitchid.control.axis import REACHABLE, Axis
 from hitchid.control.controller import REST_S, SMOOTHING_S, STILL_SHARE, TARGET_SPEED_S, WIDEST
+from hitchid.control.drive import travel_of
 from hitchid.errors import InputError
 from hitchid.export.c_templates import CTemplates, Field, Precision, Typed, c_templates, valve_fields
 from hitchid.export.constants import ModelConstants, channel_constants
@@ -80,6 +81,7 @@ def controller_files(
     if compiler is None:
         return files, None
     run = controller_run(content.controller, model)
+    # Rounding of single precision hides small mistakes; the same code in double precision shows them.
     if precision == "single":
         _proved(content, name, "double", compiler, run)
     return files, _proved(content, name, precision, compiler, run)
@@ -167,9 +169,7 @@ def controller_templates(
 def controller_run(controller: HitchController, model: Hitch, *, seed: int = 0) -> ControllerRun:
     """Return a run in closed loop with the model: steps, ramps, noise, a sensor that is lost."""
     rng = np.random.default_rng(seed)
-    ranges = [channel.operating_range.displacement for channel in model.channels.values()]
-    low = min(float(covered.lowest) for covered in ranges)
-    high = max(float(covered.highest) for covered in ranges)
+    low, high = travel_of(model)
     middle, width = (0.5 * (low + high), high - low) if high - low < 1e6 else (100.0, 75.0)
     targets = _targets(middle, STROKE_SHARE * width, controller.step_s, rng)
     lost = np.convolve(rng.random(SAMPLES) < MISSING, np.ones(round(0.1 / controller.step_s)))[:SAMPLES] > 0
@@ -191,6 +191,7 @@ def _targets(middle: float, reach: float, step_s: float, rng: np.random.Generato
     last = middle
     while targets.size < SAMPLES:
         count = round(float(rng.uniform(*TARGET_S)) / step_s)
+        # Half of them near the middle, so that some changes are small enough for the hold window.
         goal = middle + float(rng.uniform(-reach, reach)) * float(rng.choice([1.0, 0.1]))
         is_ramp = rng.random() < 0.3
         piece = np.linspace(last, goal, count) if is_ramp else np.full(count, goal)

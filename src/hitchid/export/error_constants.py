@@ -9,7 +9,7 @@ import numpy as np
 from hitchid.model import Bands
 from hitchid.model.load_filter import LoadFilter
 from hitchid.networks.error_compensator import Compensator
-from hitchid.networks.operating_range import MARGIN, SignalRange
+from hitchid.networks.operating_range import MARGIN, OperatingRange, SignalRange
 from hitchid.networks.speed_compensator import SpeedCompensator
 
 # Arrays as nested tuples, which templates write as arrays of C.
@@ -41,18 +41,20 @@ class Range:
     half_width: float
 
     @classmethod
-    def of(cls, signal: SignalRange, index: int | None = None) -> "Range | None":
+    def of(cls, signal: SignalRange, index: int = 0) -> "Range | None":
         """Return a range, of several signals that at an index; None where it is not bounded."""
-        ends = [float(np.asarray(end).ravel()[index or 0]) for end in (signal.lowest, signal.highest)]
+        ends = [float(np.asarray(end).ravel()[index]) for end in (signal.lowest, signal.highest)]
         if not all(map(math.isfinite, ends)):
             return None
         width = ends[1] - ends[0]
         return cls(ends[0], ends[1], MARGIN * width if width > 0 else 1.0, 0.5 * width)
 
     @classmethod
-    def of_each(cls, signals: SignalRange) -> "list[Range | None]":
-        """Return the ranges of several signals."""
-        return [cls.of(signals, number) for number in range(np.asarray(signals.lowest).size)]
+    def all_of(cls, covered: OperatingRange) -> "dict[str, Range | list[Range | None] | None]":
+        """Return the ranges of command, displacement and covariates by name."""
+        signals = {"command": cls.of(covered.command), "displacement": cls.of(covered.displacement)}
+        count = np.asarray(covered.load.lowest).size
+        return {**signals, "load": [cls.of(covered.load, number) for number in range(count)]}
 
     @property
     def middle(self) -> float:
@@ -95,7 +97,7 @@ def compensator_of(compensator: Compensator) -> dict[str, Any]:
 
 def speed_compensator_of(compensator: SpeedCompensator) -> dict[str, Any]:
     """Return the weights of the networks for free run, their scales, and the ranges they cover."""
-    networks, covered = compensator.networks, compensator.operating_range
+    networks = compensator.networks
     return {
         "members": compensator.members,
         "units": networks.biases.shape[1],
@@ -107,11 +109,7 @@ def speed_compensator_of(compensator: SpeedCompensator) -> dict[str, Any]:
         "speed_scale": float(compensator.speed_scale),
         "acceleration_scale": float(compensator.acceleration_scale),
         "sign": compensator.sign,
-        "ranges": {
-            "command": Range.of(covered.command),
-            "displacement": Range.of(covered.displacement),
-            "load": Range.of_each(covered.load),
-        },
+        "ranges": Range.all_of(compensator.operating_range),
     }
 
 

@@ -149,6 +149,7 @@ def fmu_sources(verified: VerifiedSource, version: Version) -> FmuSources:
     variables = tuple(fmu_variables(verified.constants, parameters, start, with_time=version == "fmi3"))
     adapter = f"{name}_{version}.c"
     code = {file: verified.files[file].encode() for file in (f"{name}.h", f"{name}.c")}
+    # The code holds the token, which is a digest of the code: that of the code without one.
     text = templates.render(f"{version}.c", variables=variables, token="", **_state_header(b"", variables))
     identity = digest(b"\0".join([text.encode(), *code.values(), verified.constants.digest.encode()]))
     token = f"{{{identity[:8]}-{identity[8:12]}-{identity[12:16]}-{identity[16:20]}-{identity[20:32]}}}"

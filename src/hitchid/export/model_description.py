@@ -61,14 +61,7 @@ class Variable:
 def fmu_variables(
     model: ModelConstants, parameters: Sequence[Field], start: float, *, with_time: bool
 ) -> Iterator[Variable]:
-    """Yield the variables of an FMU in the order of their value references.
-
-    Args:
-        model: numbers of the model.
-        parameters: that may be tuned.
-        start: displacement at the start, by default.
-        with_time: whether time is a variable, as FMI 3 requires.
-    """
+    """Yield the variables of an FMU in the order of their value references; FMI 3 requires time, too."""
     unit = model.units["displacement"]
     if with_time:
         yield Variable("time", "TIME", "real", "independent", "continuous", "Simulation time", "s")
@@ -169,14 +162,8 @@ def model_description(
 ) -> bytes:
     """Return the model description of an FMU for Co-Simulation and Model Exchange.
 
-    Args:
-        version: of the standard.
-        name: model identifier.
-        token: GUID or instantiation token.
-        variables: in the order of their value references.
-        step_s: sampling time, s.
-        sources: names of the C files.
-        description: of the model, for the user.
+    The name is the model identifier, the token its GUID, of FMI 3 the instantiation token; variables come in
+    the order of their value references.
     """
     is_2 = version == "fmi2"
     root = Element(

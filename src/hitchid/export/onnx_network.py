@@ -1,7 +1,7 @@
 """Export of the compensators for predictions to ONNX: one LSTM node each, its state outside."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,13 +24,6 @@ OPSET = 17  # the first with everything that current runtimes ask for; LSTM itse
 READS = 1500  # compared with the model
 TOLERANCE = 1e-6  # of the output in its spread: single precision, summed in another order
 GATES = (0, 3, 1, 2)  # input, output, forget, cell in ONNX; input, forget, cell, output here
-
-
-class NetworkParity(NamedTuple):
-    """Largest difference between an ONNX file and its compensator, as a share of the output's spread."""
-
-    difference: float
-    reads: int
 
 
 @checks.named_arguments
@@ -69,9 +62,8 @@ def to_onnx(model: Hitch, folder: str | Path, *, name: str = "hitch", force: boo
     for direction, compensator in networks.items():
         content = _network(compensator, f"{name}_{direction}").SerializeToString()
         files[f"{name}_{direction}.onnx"] = content
-        parity = _verify(content, compensator)
-        parities[direction] = None if parity is None else parity._asdict()
-        if parity is None:
+        parities[direction] = _verify(content, compensator)
+        if parities[direction] is None:
             notices = ["not verified: run pip install onnxruntime and export again"]
     files[MANIFEST] = canonical_json(
         {
@@ -150,8 +142,8 @@ def _network(compensator: Compensator, name: str) -> "onnx.ModelProto":
     return network
 
 
-def _verify(content: bytes, compensator: Compensator) -> NetworkParity | None:
-    """Return the difference between onnxruntime and the model; None where onnxruntime is not installed."""
+def _verify(content: bytes, compensator: Compensator) -> dict[str, float] | None:
+    """Return the largest difference of onnxruntime in spreads of the output; None where it is not there."""
     try:
         import onnxruntime
     except ImportError:
@@ -176,4 +168,4 @@ def _verify(content: bytes, compensator: Compensator) -> NetworkParity | None:
     difference = float(np.max(np.abs(np.array(outputs) - np.array(expected)))) / spread
     if not difference <= TOLERANCE * max(1.0, float(np.max(np.abs(expected))) / spread):
         raise ParityError(f"the ONNX file differs from the compensator by {difference:.2g} of its spread")
-    return NetworkParity(difference, READS)
+    return {"difference": difference, "reads": READS}

@@ -62,13 +62,16 @@ def reference_runs(model: Hitch, samples: int, *, seed: int = SEED) -> tuple[Ref
     rng = np.random.default_rng(seed)
     commands = _commands(model, samples, rng)
     covariates = covariates_of(model.channels.values())
+    # Beside the mean load, at which covariates change nothing that a run could show.
     load = tuple((mean_load(model.channels.values()) * 1.02).tolist()) if covariates else ()
     start = _start(model)
     nothing = np.full(samples, np.nan)
+    # The free run first: measured displacements are to be near what the model predicts.
     free = _run(model, start, load, np.column_stack([commands, nothing]))
     travel = np.concatenate([[0.0], free.displacement[:-1] - start])
     noise = 1e-4 * (np.ptp(travel) + 1e-9) * rng.standard_normal(samples)
     measured = start + GAIN_ERROR * travel + noise
+    # A while without a measurement: before the first one the band is unknown, and the code must say so.
     measured[: samples // 20] = np.nan
     gaps = rng.random(samples) < MISSING
     measured[gaps | np.roll(gaps, 1) | np.roll(gaps, 2)] = np.nan
@@ -262,13 +265,9 @@ class Tolerance(NamedTuple):
 
 
 def tolerance_of(precision: Precision, error_steps: Sequence[float] | None, travel_range: float) -> Tolerance:
-    """Return the largest differences that rounding explains.
+    """Return the largest differences that rounding explains, as shares of a range of displacement.
 
-    Args:
-        precision: of the code.
-        error_steps: spread of the innovations of each network, in the displacement's unit; None for a model
-            without networks.
-        travel_range: range of displacement, in its unit.
+    The spread of each network's innovations is in the displacement's unit; it is None without networks.
     """
     measured, free_run = ROUNDING[precision]
     if error_steps is None:
@@ -285,13 +284,9 @@ def replay(program: Sequence[str], run: ReferenceRun, folder: Path) -> Float[np.
 def run_replay(
     program: Sequence[str], head: Float[np.ndarray, " h"], inputs: Float[np.ndarray, "n c"], folder: Path
 ) -> Float[np.ndarray, "n 4"]:
-    """Return the four numbers that a compiled replay program answers to each row of inputs.
+    """Return the four numbers that a compiled replay program answers to each row of inputs, after the head.
 
-    Args:
-        program: and its first arguments.
-        head: that it reads before the rows.
-        inputs: the rows.
-        folder: of the program and its files; where the system can, the program sees no others.
+    Where the system can, the program sees no files but those of its folder.
 
     Raises:
         ParityError: the program fails.
@@ -348,16 +343,10 @@ def verify(
 ) -> Parity:
     """Compile the sources of a replay program, run it, and return its differences from the model.
 
-    Args:
-        compiler: that compiles it.
-        sources: its files.
-        runs: a free run, and one with measured displacements.
-        travel_range: range of displacement, of which differences are shares.
-        tolerance: the largest admissible ones.
-        compare_modes: whether mode and flags must agree; in single precision a threshold may be elsewhere.
+    Mode and flags need not agree in single precision, where a threshold may be elsewhere.
 
     Raises:
-        ParityError: the differences are larger.
+        ParityError: the differences are larger than rounding explains.
         InputError: the compiler fails.
     """
     with tempfile.TemporaryDirectory() as place:

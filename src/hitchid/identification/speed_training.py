@@ -88,7 +88,7 @@ class SpeedCompensatorConfig:
     ridge: float = 0.1
 
 
-class JudgedCompensator(NamedTuple):
+class TrainedSpeedCompensator(NamedTuple):
     """A compensator for free run and its test on tests held out.
 
     Attributes:
@@ -109,7 +109,7 @@ def train_speed_compensator(
     settings: SpeedCompensatorConfig,
     seed: int,
     checkpoints: Checkpoints = DISABLED,
-) -> JudgedCompensator:
+) -> TrainedSpeedCompensator:
     """Train networks on free runs, and accept them if they improve the free runs of tests held out.
 
     For each fold, benchmark and all networks are fitted to the other tests; the mean of these networks, which
@@ -126,7 +126,7 @@ def train_speed_compensator(
     """
     tests = batch.command.shape[0]
     if tests < FEWEST_TESTS:
-        return JudgedCompensator(None, HoldoutTest(False, np.zeros(0), np.zeros(0)), held_out)
+        return TrainedSpeedCompensator(None, HoldoutTest(False, np.zeros(0), np.zeros(0)), held_out)
 
     def train(channel: Channel, tests: Bool[np.ndarray, " t"], name: str) -> Channel:
         trained = _trained(channel, batch, tests, settings, seed, checkpoints.child(name))
@@ -140,9 +140,9 @@ def train_speed_compensator(
     accepted = better_on_held_out_tests(errors, benchmark_errors)
     holdout_test = HoldoutTest(accepted, benchmark_errors, errors)
     if not holdout_test.accepted:
-        return JudgedCompensator(None, holdout_test, held_out)
+        return TrainedSpeedCompensator(None, holdout_test, held_out)
     shipped = train(channel, np.ones(tests, bool), "free run").speed_compensator
-    return JudgedCompensator(shipped, holdout_test, compensated)
+    return TrainedSpeedCompensator(shipped, holdout_test, compensated)
 
 
 def _held_out_errors(held_out: Sequence[HeldOut], batch: Batch) -> Float[np.ndarray, " t"]:

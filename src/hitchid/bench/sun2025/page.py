@@ -48,15 +48,7 @@ def study_report(
     trace: Mapping[str, ChannelTraceFile],
     command: str,
 ) -> Document:
-    """Return the report of the study.
-
-    Args:
-        tables: Tables 2 to 4 of the paper and the figures in its text.
-        pictures: Figures 5 to 12 of the paper.
-        results: direction to predictions of both methods.
-        result: of the validation of hitchid's default model.
-        trace, command: as for `validation_report`.
-    """
+    """Return the report of the study: tables, figures, and the validation of hitchid's default model."""
     data = result.report_data()
     section_builders = (accuracy_section, trust_section, parameters_section)
     return Document(
@@ -154,7 +146,7 @@ def _default_parameters(traces: Traces) -> Table:
     """Return the parameters of the models identified by default, whose form the paper does not have."""
     rows = tuple(
         (
-            f"{direction}: {estimate.name.replace('_', ' ')}",
+            _label(direction, estimate),
             numbers.with_unit(_value_or_interval(estimate), estimate.unit),
             numbers.interval(estimate.interval),
             estimate.verdict,
@@ -166,14 +158,19 @@ def _default_parameters(traces: Traces) -> Table:
     return Table("Parameters of hitchid's default models", header, rows)
 
 
+def _label(direction: str, estimate: Estimate) -> str:
+    return f"{direction}: {estimate.name.replace('_', ' ')}"
+
+
 def _parameters(traces: Traces) -> Table:
     """Return the parameters of both transfer functions (paper, Table 2)."""
     rows = []
     for direction, trace in traces.items():
         for estimate in trace.phase1.parameter_estimates:
             value = numbers.with_unit(_value_or_interval(estimate), estimate.unit)
-            label = f"{direction}: {estimate.name.replace('_', ' ')}"
-            rows.append((label, value, _equivalent(direction, estimate.name), estimate.verdict))
+            rows.append(
+                (_label(direction, estimate), value, _equivalent(direction, estimate.name), estimate.verdict)
+            )
         for name, (value, unit) in _coefficients(direction, trace).items():
             published = f"{PAPER_COEFFICIENTS[direction][name]:.4g}"
             rows.append((f"{direction}: {name}", numbers.with_unit(value, unit), published, ""))
@@ -302,7 +299,7 @@ def _mechanistic(traces: Traces, results: Mapping[str, DirectionResult], unit: s
 
 def _sensitivity(traces: Traces, models: str) -> Table:
     rows = tuple(
-        (f"{direction}: {estimate.name.replace('_', ' ')}", f"{100 * estimate.sensitivity:.2f}")
+        (_label(direction, estimate), f"{100 * estimate.sensitivity:.2f}")
         for direction, trace in traces.items()
         for estimate in trace.phase1.parameter_estimates
     )
