@@ -70,15 +70,8 @@ class Still(Search):
     def minimise(self, problem: SearchProblem, seed: int, callback=None) -> SearchResult:
         self.asked.append(seed)
         trace = np.array([self.first, 1.0])
-        return SearchResult(
-            np.full(problem.dimensions, 0.5),
-            1.0,
-            2,
-            0,
-            "looked",
-            trace,
-            np.full((2, problem.dimensions), 0.5),
-        )
+        positions = np.full((2, problem.dimensions), 0.5)
+        return SearchResult(positions[1], 1.0, 2, 0, "looked", trace, positions)
 
 
 @dataclass(frozen=True)
@@ -90,7 +83,7 @@ class Failing(Search):
     def minimise(self, problem: SearchProblem, seed: int, callback=None) -> SearchResult:
         if seed % 2 == 0:
             raise FitError(f"nothing finite from seed {seed}")
-        return Still().minimise(problem, seed)
+        return Still(first=np.inf).minimise(problem, seed)
 
 
 def kept(folder):
@@ -108,9 +101,6 @@ def test_every_search_spends_the_one_budget(trails):
     # The last start is made while one evaluation is left, and costs 2 + D at least: 1 + D too many at most.
     assert all(BUDGET <= run.evaluations <= BUDGET + 3 for run in starts)
     assert all(len(run.values) == len(run.fitness) for trail in trails for run in trail.runs)
-
-
-def test_fitness_never_rises_along_a_run_and_ends_are_its_last(trails):
     for trail in trails:
         assert all(np.all(np.diff(run.fitness) <= 0) for run in trail.runs)
         assert list(trail.final_fitnesses) == [run.fitness[-1] for run in trail.runs]
@@ -124,12 +114,6 @@ def test_values_are_those_that_gave_the_fitness_over_the_thinned_tests(trails):
     found = fitness([values for run in runs for values in run.values])
     said = np.concatenate([run.fitness for run in runs])
     np.testing.assert_allclose(found, said, rtol=0, atol=ROUNDING_MM)
-
-
-def test_a_comparison_that_is_long_enough_finds_the_bottom():
-    (trail,) = compare_searches(misfit_of(), SearchComparison((MultiStart(400),), SEEDS))
-    around = [(15.0 * a, 0.7 * b) for a in (0.99, 1, 1.01) for b in (0.97, 1, 1.03)]
-    assert trail.final_fitnesses.max() <= thinned(misfit_of())[1](around).min() + ROUNDING_MM
 
 
 def test_the_same_seed_gives_the_same_run_and_another_seed_another(trails):
@@ -156,52 +140,22 @@ def test_a_run_from_disk_is_not_run_again(trails, tmp_path, monkeypatch):
         compare_searches(misfit_of(), replace(asked, seeds=SEEDS + 1))
 
 
-def test_without_a_folder_nothing_is_kept(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    compare_searches(misfit_of(), SearchComparison((Still(),), SEEDS))
-    assert not list(tmp_path.iterdir())
-
-
-DAMAGE = {
-    "empty": lambda content: b"",
-    "truncated": lambda content: content[: len(content) // 2],
-    "something in front": lambda content: b"\xff\xfe" + content,
-    "one bit": lambda content: content[:-9] + bytes([content[-9] ^ 1]) + content[-8:],
-}
-
-
-@pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE)
-def test_a_damaged_file_is_run_again_and_replaced(tmp_path, damage):
-    search = Still()
-    asked = SearchComparison((search,), 1, Checkpoints(tmp_path))
-    first, whole = compare_searches(misfit_of(), asked), kept(tmp_path)
-    ((name, content),) = whole.items()
-    (tmp_path / name).write_bytes(damage(content))
-    assert compare_searches(misfit_of(), asked) == first
-    assert search.asked == [0, 0]
-    assert kept(tmp_path) == whole
-
-
-BOUNDED = {"bounds": {"gain": (1.0, 100.0)}}
-
-
 @pytest.mark.parametrize(
-    ("form", "other"),
+    "other",
     [
-        ({}, {"seed": 1}),
-        ({}, {"dead_zone": 0.1}),
-        ({}, {"form": ModelSpec(INTEGRATOR)}),
-        ({}, {"form": ModelSpec(LAG, bounds={"time_constant": (0.1, 5.0)})}),
-        ({}, {"step_s": 0.02}),
-        ({"form": ModelSpec(LAG, **BOUNDED)}, {"form": ModelSpec(LAG, **BOUNDED), "step_s": 0.02}),
-        ({}, {"direction": -1}),
+        {"seed": 1},
+        {"dead_zone": 0.1},
+        {"form": ModelSpec(INTEGRATOR)},
+        {"form": ModelSpec(LAG, bounds={"time_constant": (0.1, 5.0)})},
+        {"step_s": 0.02},
+        {"direction": -1},
     ],
-    ids=lambda each: ", ".join(each) or "plain",
+    ids=lambda settings: ", ".join(settings),
 )
-def test_other_data_or_another_form_never_meets_the_same_file(tmp_path, form, other):
+def test_other_data_or_another_form_never_meets_the_same_file(tmp_path, other):
     search = Still()
     asked = SearchComparison((search,), SEEDS, Checkpoints(tmp_path))
-    compare_searches(misfit_of(**form), asked)
+    compare_searches(misfit_of(), asked)
     compare_searches(misfit_of(**other), asked)
     assert search.asked == [0, 1, 0, 1]
     assert len(kept(tmp_path)) == 2 * SEEDS
@@ -224,11 +178,5 @@ def test_a_search_that_fails_is_a_run_without_fitness_that_ends_nowhere(tmp_path
         assert [run.final_fitness for run in trail.runs] == [None, 1.0, None]
         assert list(trail.final_fitnesses) == [np.inf, 1.0, np.inf]
         assert trail.runs[2] == SearchRun((), (), 0, 0, "nothing finite from seed 2")
-
-
-def test_steps_before_anything_was_finite_have_no_fitness(tmp_path):
-    asked = SearchComparison((Still(first=np.inf),), 1, Checkpoints(tmp_path))
-    for _ in range(2):
-        ((run,),) = (trail.runs for trail in compare_searches(misfit_of(), asked))
-        assert run.fitness == (None, 1.0)
-        assert run.final_fitness == 1.0
+        # Steps before anything was finite have no fitness.
+        assert trail.runs[1].fitness == (None, 1.0)

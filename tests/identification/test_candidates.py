@@ -34,20 +34,18 @@ def test_what_the_loads_hide_decides_where_free_run_is_not_significantly_worse(s
     assert best_candidate([plain, hidden]) == 1
     assert best_candidate([plain, worse]) == 0
     # A gain for each of fewer than six tests decides nothing.
-    few = [candidate(each.held_out[:5], each.held_out_per_test_gain[:5]) for each in (plain, hidden)]
+    few = [candidate(form.held_out[:5], form.held_out_per_test_gain[:5]) for form in (plain, hidden)]
     assert best_candidate(few) == 0
 
 
 def test_of_candidates_alike_one_choice_in_ten_at_most_leaves_the_first():
     """400 choices tell a share of 10 % to 1.5 %, held to three of it."""
     rng = np.random.default_rng(1)
-    taken = [
-        best_candidate(
-            [candidate(*np.exp(0.3 * rng.standard_normal((2, 12)))) for _ in range(6)],
-        )
+    choices = [
+        best_candidate([candidate(*np.exp(0.3 * rng.standard_normal((2, 12)))) for _ in range(6)])
         for _ in range(400)
     ]
-    assert np.mean(np.array(taken) > 0) < 0.1 + 3 * 0.015
+    assert np.mean(np.array(choices) > 0) < 0.1 + 3 * 0.015
 
 
 def test_the_error_of_the_choice_is_that_of_what_the_other_folds_choose():

@@ -13,7 +13,7 @@ from hitchid.errors import FitError
 from hitchid.estimation import Objective
 from hitchid.logs.record import LIFTING
 from hitchid.model import Estimates, Uncertainty
-from hitchid.structures import Batch, ModelSpec, structure_named
+from hitchid.structures import ModelSpec, structure_named
 from hitchid.uncertainty.load_scatter import Contrasts, load_scatter, scatter_of
 from truth import held, levels
 
@@ -23,18 +23,17 @@ NAMES = [f"test {number}" for number in range(8)]
 
 
 @pytest.fixture
-def found_in(make_record):
+def found_in(batch_of):
     """Return a function that gives the scatter in tests of an integrator with factors on its speed."""
 
     def find(factors, *, names=NAMES, seeds=range(8), shared=True, free=True):
-        records = []
+        tests = []
         for number, (factor, seed) in enumerate(zip(factors, seeds, strict=False)):
             rng = np.random.default_rng(seed)
             command = levels(np.random.default_rng(0 if shared else number), SAMPLES, low=0.2)
             travel = factor * GAIN * held([1.0], [1.0, 0.0], command)
-            records.append(make_record(80.0 + travel + NOISE * rng.standard_normal(SAMPLES), command))
-        batch = Batch.of(records, LIFTING, dead_zone=0.0, sign=1, initial=[80.0] * len(records))
-        objective = Objective.of(batch, INTEGRATOR)
+            tests.append((command, travel + NOISE * rng.standard_normal(SAMPLES)))
+        objective = Objective.of(batch_of(tests), INTEGRATOR)
         return load_scatter(objective, objective.position(np.array([GAIN])), np.array([free]), names)
 
     return find
@@ -83,8 +82,9 @@ def test_a_test_that_runs_4_percent_fast_is_named(found_in):
     assert "± 1.4 %" in found.sentence
 
 
-def test_without_scatter_the_interval_begins_at_zero_and_nothing_is_determined(found_in):
-    found = found_in([1.0] * 8)
+@pytest.mark.parametrize(("factor", "shared"), [(1.0, True), (1.05, False)])
+def test_without_scatter_the_interval_begins_at_zero_and_nothing_is_determined(found_in, factor, shared):
+    found = found_in([factor] * 8, shared=shared)
     assert found.interval[0] == 0.0
     assert not found.determined
     assert "not determined" in found.sentence
@@ -102,25 +102,15 @@ def test_the_order_of_the_tests_makes_no_difference(found_in):
     assert [test.speed for test in found.tests] == pytest.approx([speeds[n] for n in NAMES], abs=1e-5)
 
 
-def test_a_factor_on_the_gain_that_all_tests_share_is_no_scatter(found_in):
-    found = found_in([1.05] * 8, shared=False)
-    assert found.scatter < 1e-3
-
-
-def test_a_model_keeps_the_scatter_and_one_of_an_older_version_has_none():
+def test_a_model_keeps_and_tells_the_scatter_and_may_have_none():
     found = scatter_of(balanced(np.random.default_rng(2).normal(0.0, 0.04, 8), 0.01), NAMES)
     whole = Uncertainty(Estimates((), (), (), 8, 8), load_scatter=found)
     described = json.loads(json.dumps(asdict(whole)))
     assert TypeAdapter(Uncertainty).validate_python(described) == whole
     del described["load_scatter"]
     assert TypeAdapter(Uncertainty).validate_python(described).load_scatter is None
-
-
-def test_the_summary_of_a_model_tells_the_scatter():
-    found = scatter_of(balanced(np.random.default_rng(2).normal(0.0, 0.04, 8), 0.01), NAMES)
-    known = {LIFTING: Uncertainty(Estimates((), (), (), 8, 8), load_scatter=found)}
-    shown = repr(replace(handmade.hitch(), uncertainty=known))
-    assert f"load: {found.sentence}" in " ".join(shown.split())
+    summary = repr(replace(handmade.hitch(), uncertainty={LIFTING: whole}))
+    assert f"load: {found.sentence}" in " ".join(summary.split())
 
 
 def test_no_test_runs_backward_by_its_load():
@@ -132,11 +122,8 @@ def test_no_test_runs_backward_by_its_load():
         scatter_of(balanced(np.array([-2.2, 2.6, 0.0]), 0.01), NAMES[:3])
 
 
-def test_two_tests_have_no_scatter(found_in):
+def test_of_two_tests_or_without_estimates_there_is_no_scatter(found_in):
     with pytest.raises(FitError, match="1 differences"):
         found_in([1.0, 1.1], names=NAMES[:2])
-
-
-def test_without_estimates_there_is_no_scatter(found_in):
     with pytest.raises(FitError, match="no parameter of the form was estimated"):
         found_in([1.0] * 8, free=False)

@@ -3,7 +3,6 @@
 import json
 from dataclasses import asdict, replace
 from functools import cache
-from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,15 +13,12 @@ from scipy import signal, stats
 import handmade
 from hitchid.estimation import Objective, refine
 from hitchid.handover.responses import speed_lag, step_times
-from hitchid.identification import direction
 from hitchid.identification.dead_zone import DeadZone
-from hitchid.identification.phase1 import Phase1
 from hitchid.logs.record import LIFTING
-from hitchid.model import Characteristics, Estimates, Uncertainty
+from hitchid.model import Estimates, Uncertainty
 from hitchid.report.parameters_section import characteristic_sentences
 from hitchid.structures import (
     NONLINEARITY_PARAMETERS,
-    Batch,
     ModelSpec,
     PhysicalModel,
     Scales,
@@ -44,15 +40,6 @@ INTEGRATOR = ModelSpec(structure_named("integrator"))
 GAIN, LAG_S, LATE = 30.0, 0.1, 5
 LEVELS = (0.4, 0.7, 1.0)
 SAMPLES = 200
-
-
-@pytest.fixture
-def batch_of(make_record):
-    def make(tests, *, dead_zone=0.0):
-        records = [make_record(80.0 + travel, command) for command, travel in tests]
-        return Batch.of(records, LIFTING, dead_zone=dead_zone, sign=1, initial=[80.0] * len(records))
-
-    return make
 
 
 def step(level, *, rest=20):
@@ -129,9 +116,8 @@ def test_at_a_level_that_occurred_the_speed_is_known_though_the_dead_zone_is_not
     tests = steps(np.random.default_rng(2), scatter=0.01, noise=0.0, levels=(0.7,) * 9)
     values = [GAIN * 0.7 / 0.4, LAG_S, LATE * STEP_S]
     sure, _, _ = fitted(batch_of(tests, dead_zone=0.3), FIRST_ORDER, values)
-    vague, moved, _ = fitted(
-        batch_of(tests, dead_zone=0.3), FIRST_ORDER, values, error=DeadZoneError(0.05, 6)
-    )
+    zone = DeadZoneError(0.05, 6)
+    vague, moved, _ = fitted(batch_of(tests, dead_zone=0.3), FIRST_ORDER, values, error=zone)
     # The gain is K (c − d) over c − d: off by 0.05/0.4 with the dead zone, the speed not at all.
     assert moved.by_dead_zone[0] * np.log(1e4) == pytest.approx(0.05 / 0.4, rel=0.2)
     assert vague.speed_map[0].interval == pytest.approx(sure.speed_map[0].interval, rel=1e-4)
@@ -155,15 +141,14 @@ def test_a_profile_widens_a_speed_to_what_still_fits_and_opens_it_where_it_has_n
     plain, _, _ = fitted(batch, FIRST_ORDER, values)
     ratio = np.exp(0.05 * np.log(1e4))
 
-    def told(*profiles):
+    def profiled(*profiles):
         return fitted(batch, FIRST_ORDER, values, profiles=profiles)[0].speed_map[1]
 
     point = plain.speed_map[1]
-    assert told(profile_of(0.05, [1.1, 1.0, 1.1])).interval == pytest.approx(
-        (point.speed / ratio, point.speed * ratio), rel=1e-6
-    )
-    assert told(profile_of(0.05, [3.0, 1.0, 3.0])).interval == pytest.approx(point.interval)
-    opened = told(profile_of(0.05, [1.1, 1.0, 1.1], upper=None))
+    widened = profiled(profile_of(0.05, [1.1, 1.0, 1.1])).interval
+    assert widened == pytest.approx((point.speed / ratio, point.speed * ratio), rel=1e-6)
+    assert profiled(profile_of(0.05, [3.0, 1.0, 3.0])).interval == pytest.approx(point.interval)
+    opened = profiled(profile_of(0.05, [1.1, 1.0, 1.1], upper=None))
     assert opened.interval[1] is None
     assert not opened.determined
 
@@ -235,10 +220,15 @@ def test_measured_speeds_are_those_of_the_plant_around_mid_stroke(batch_of):
     assert [each.speed for each in found] == pytest.approx([0.9 * GAIN, 0.95 * GAIN, GAIN], rel=0.01)
 
 
-def test_a_factor_on_the_gain_scales_speeds_and_their_intervals_and_a_description_comes_back(batch_of):
-    known, _, _ = fitted(
-        batch_of(steps(np.random.default_rng(4), scatter=0.01, noise=0.02)), FIRST_ORDER, [GAIN, LAG_S, 0.05]
-    )
+def test_characteristics_are_told_scaled_with_the_gain_and_read_back(batch_of):
+    batch = batch_of(steps(np.random.default_rng(4), scatter=0.01, noise=0.02))
+    known, _, _ = fitted(batch, FIRST_ORDER, [GAIN, LAG_S, 0.05])
+    zone, speeds, times = characteristic_sentences(known, LIFTING)
+    point = known.speed_map[-1]
+    assert zone == "dead zone 0 A"
+    assert f"{point.speed:.3g} mm/s ({point.interval[0]:.4g} … {point.interval[1]:.4g}) at 1 A" in speeds
+    assert speeds.startswith("the piston lifts at mid stroke")
+    assert times.startswith("after a step to 0.7 A motion starts")
     scaled = known.scaled(1.1)
     for before, after in zip(known.speed_map, scaled.speed_map, strict=True):
         assert (after.speed, *after.interval) == pytest.approx(
@@ -257,32 +247,10 @@ def test_a_structure_without_a_steady_speed_has_no_speed_map(batch_of):
     misfit = Objective.of(batch, ModelSpec(structure_named("inertia-with-friction")))
     zone = DeadZone(0.0, None, 0, "structure")
     none = np.zeros((1, 8))
-    moved = Influence(
-        none, none[0], none[0], none, Scores(none, np.zeros((1, 8, 8))), np.ones(8, bool), none[:1]
-    )
-    found = characteristics(
-        misfit,
-        np.full(8, 0.5),
-        moved,
-        dead_zone=zone.to_quantity("A"),
-        dead_zone_error=zone.error,
-        units=UNITS,
-    )
-    assert found is None
-
-
-def test_what_cannot_be_computed_is_left_out_with_a_notice(monkeypatch):
-    def fails(*_, **__):
-        raise FloatingPointError("too large")
-
-    monkeypatch.setattr(direction, "characteristics", fails)
-    phase1 = object.__new__(Phase1)
-    moved = SimpleNamespace(free=np.ones(1, bool))
-    vars(phase1).update(fit=SimpleNamespace(objective=None, position=None), influence=moved)
-    said = []
-    assert direction._characteristics(DeadZone(0.3, None, 0, "given"), phase1, UNITS, said) is None
-    part = "speed map, delay and response time"
-    assert said[0] == f"could not be computed: {part} (FloatingPointError: too large)"
+    scores = Scores(none, np.zeros((1, 8, 8)))
+    moved = Influence(none, none[0], none[0], none, scores, np.ones(8, bool), none[:1])
+    zones = {"dead_zone": zone.to_quantity("A"), "dead_zone_error": zone.error}
+    assert characteristics(misfit, np.full(8, 0.5), moved, **zones, units=UNITS) is None
 
 
 @pytest.mark.parametrize(
@@ -299,16 +267,3 @@ def test_a_dead_zone_is_determined_by_its_standard_error(zone, interval, determi
     known = zone.to_quantity("A")
     assert known.determined is determined
     assert known.interval == (interval if None in interval else pytest.approx(interval, rel=1e-3))
-
-
-def test_characteristics_are_told_in_plain_words(batch_of):
-    known, _, _ = fitted(
-        batch_of(steps(np.random.default_rng(4), scatter=0.01, noise=0.02)), FIRST_ORDER, [GAIN, LAG_S, 0.05]
-    )
-    assert isinstance(known, Characteristics)
-    zone, speeds, times = characteristic_sentences(known, LIFTING)
-    point = known.speed_map[-1]
-    assert zone == "dead zone 0 A"
-    assert f"{point.speed:.3g} mm/s ({point.interval[0]:.4g} … {point.interval[1]:.4g}) at 1 A" in speeds
-    assert speeds.startswith("the piston lifts at mid stroke")
-    assert times.startswith("after a step to 0.7 A motion starts")

@@ -43,18 +43,6 @@ def test_one_test_shows_measured_and_predicted_displacement_errors_and_band():
     assert error.get_xlabel() == "time / s"
 
 
-def test_measured_is_drawn_thin_and_on_top_of_wider_and_lighter_predictions():
-    displacement, _ = validation().plot(axes_of(2))
-    drawn = lines(displacement)
-    measured = drawn.pop("measured")
-    assert len(drawn) == 2
-    for line in drawn.values():
-        assert line.get_linewidth() >= 2 * measured.get_linewidth()
-        assert line.get_zorder() < measured.get_zorder()
-        assert line.get_alpha() < 1
-    assert measured.get_alpha() is None
-
-
 def test_several_tests_follow_each_other_with_gaps_between():
     tests = predictions(sizes=(30, 20, 25))
     axes = axes_of(2)
