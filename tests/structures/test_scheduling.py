@@ -10,13 +10,7 @@ import pytest
 import handmade
 from hitchid.estimation import Objective
 from hitchid.logs.record import LIFTING
-from hitchid.structures import (
-    Batch,
-    CovariateEffects,
-    ModelSpec,
-    PhysicalModel,
-    structure_named,
-)
+from hitchid.structures import Batch, CovariateEffects, ModelSpec, PhysicalModel, structure_named
 from hitchid.structures.nonlinearity import MAX_QUADRATIC_SPREADS, MAX_SPREADS
 from truth import levels
 

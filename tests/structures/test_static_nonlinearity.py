@@ -127,11 +127,7 @@ def test_flow_is_the_power_of_what_lies_beyond_the_opening_until_it_saturates():
     np.testing.assert_allclose(flow(shape(opening=0.2, saturation=0.3), command), 2.0 * limited, rtol=8 * EPS)
 
 
-@given(
-    opening=st.floats(-0.6, 0.9),
-    exponent=st.floats(0.34, 3.0),
-    saturation=st.floats(0.05, 1e4),
-)
+@given(opening=st.floats(-0.6, 0.9), exponent=st.floats(0.34, 3.0), saturation=st.floats(0.05, 1e4))
 def test_flow_never_falls_with_the_command_and_a_standing_command_moves_nothing(
     opening, exponent, saturation
 ):

@@ -125,12 +125,7 @@ def train_ensemble(
 ) -> tuple[IntegratingLstm, int]:
     """Choose the number of gradient steps on validation tests, then train on all tests for as many.
 
-    Args:
-        untrained: the members, a leading axis over them in each array.
-        sections: free runs of all tests.
-        training, validation, everything: weights of the errors for the choice and for the final training.
-        steps: largest number of gradient steps.
-        progress: called at each look with the steps done, training and validation error.
+    Arrays have a leading axis over the members; errors weigh as given for choice and final training.
 
     Returns:
         The ensemble, and the number of steps it was trained for: 0 where no training improved it.
@@ -231,13 +226,7 @@ def step_samples(batch: Batch) -> int:
 
 
 def block_signals(batch: Batch, samples: int, mask: np.ndarray) -> BlockSignals:
-    """Return the signals of tests in blocks of eight steps of so many samples each.
-
-    Args:
-        batch: tests.
-        samples: samples in a step.
-        mask: samples that errors are taken over, shape [T, N].
-    """
+    """Return the signals of tests in blocks of eight steps of so many samples each."""
     blocks = -(-int(np.asarray(batch.valid).sum(axis=1).max()) // (samples * STEPS))
     width = blocks * STEPS * samples
 

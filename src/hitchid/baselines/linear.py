@@ -165,11 +165,7 @@ def predict_ahead(
 ) -> np.ndarray:
     """Return h-step-ahead predictions of travel, zero for the first h samples.
 
-    Args:
-        model: an autoregressive model; it is iterated from all samples at once.
-        inputs: of one test that starts from rest, shape [m, N].
-        travel: its measured travel, shape [N].
-        horizons: prediction horizons h, in samples.
+    Of one test that starts from rest, inputs of shape [m, N]; iterated from all samples at once.
 
     Returns:
         Predictions, shape [len(horizons), N].
@@ -182,10 +178,7 @@ def predict_ahead(
     with np.errstate(over="ignore", invalid="ignore"):
         for step in range(1, farthest + 1):
             lagged = [padded[:, lag + step - i : lag + step - i + count] for i in range(1, lag + 1)]
-            history = [
-                model.predict_next(np.stack(lagged, axis=1), np.stack(history)),
-                *history[: lag - 1],
-            ]
+            history = [model.predict_next(np.stack(lagged, axis=1), np.stack(history)), *history[: lag - 1]]
             predictions[step] = history[0]
     return np.stack([np.concatenate([np.zeros(h), predictions[h][: count - h]]) for h in horizons])
 

@@ -232,12 +232,7 @@ def run_until(
 ) -> tuple[WhaleState, WhaleTrace]:
     """Run the swarm until a number of generations or until it stagnates.
 
-    Args:
-        objective: from positions of shape [P, D] to fitness of shape [P]; NaN marks a failed simulation.
-        carry: of `begin` or an earlier call; where the calls part the search changes nothing.
-        config: as for `begin`.
-        draws: of `begin`.
-        until: generations in all.
+    The objective is NaN where a simulation failed; where calls part the search changes nothing.
     """
 
     def unfinished(carry: tuple[WhaleState, WhaleTrace]) -> Array:

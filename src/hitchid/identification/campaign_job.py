@@ -62,10 +62,6 @@ def hold_drift(records: Sequence[Record], dead_zones: Mapping[str, float]) -> fl
     The slope that displacement has in common over all stretches without effective command, from 0.5 s after
     their start, of at least 0.5 s (five samples at long sampling times): least squares, each stretch with a
     level of its own.
-
-    Args:
-        records: tests of any kind.
-        dead_zones: direction to dead zone, in the command's unit.
     """
     sum_time_displacement = sum_time_squared = 0.0
     for record in records:

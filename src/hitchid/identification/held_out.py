@@ -112,13 +112,7 @@ def calibrated_horizons(step_s: float) -> tuple[int, ...]:
 def held_out_errors(
     held_out: Sequence[HeldOut], batch: Batch, horizons: Iterable[int]
 ) -> dict[int, HeldOutErrors]:
-    """Return for each horizon shorter than all tests the errors of predictions of the tests.
-
-    Args:
-        held_out: channels fitted without each fold; every test is held out once.
-        batch: all tests.
-        horizons: in samples, ascending.
-    """
+    """Return for each horizon shorter than all tests the errors of predictions of the tests."""
     loss_mask, measured = np.asarray(batch.loss_mask), np.asarray(batch.displacement)
     shortest = loss_mask.sum(axis=1).min()
     horizons = tuple(horizon for horizon in horizons if horizon < shortest)

@@ -104,9 +104,7 @@ def run_pipeline(
 
 
 def _phase(
-    work: Callable[[Key, ProgressCallback], ChannelResult],
-    keys: Sequence[Key],
-    progress: ProgressCallback,
+    work: Callable[[Key, ProgressCallback], ChannelResult], keys: Sequence[Key], progress: ProgressCallback
 ) -> Mapping[Key, ChannelResult | HitchError]:
     """Do one phase for all directions at the same time."""
     single_campaign = len({number for number, _ in keys}) == 1
