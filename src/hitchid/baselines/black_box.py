@@ -151,8 +151,7 @@ def train_ensemble(
 @eqx.filter_jit
 def _mean_error(networks: IntegratingLstm, sections: Sections, weight: Array) -> Array:
     """Return the root mean square error of the members' mean."""
-    members = eqx.filter_vmap(IntegratingLstm.simulate, in_axes=(eqx.if_array(0), None, None, None))
-    positions = members(networks, sections.inputs, sections.start, sections.increment_scale).mean(axis=0)
+    positions = mean_positions(networks, sections.inputs, sections.start, sections.increment_scale)
     return jnp.sqrt(_mean_square(positions - sections.position, weight))
 
 
@@ -314,20 +313,11 @@ class BlackBox(FittedBaseline):
         position = batch.sign * np.asarray(batch.initial)
         scale = np.abs(signals.travel[signals.mask]).max(initial=0.0) or 1.0
         changes = np.diff(signals.travel, axis=2)[signals.mask[:, :, 1:]]
-        return cls(
-            jax.tree.map(lambda *arrays: jnp.stack(arrays), *members),
-            *map(
-                np.asarray,
-                (
-                    np.abs(batch.raw_command).max() or 1.0,
-                    *covariate_scaling(batch),
-                    position.mean(),
-                    scale,
-                    (np.abs(changes).mean() if changes.size else 0.0) / scale or 1.0,
-                    samples,
-                ),
-            ),
-        )
+        increment = (np.abs(changes).mean() if changes.size else 0.0) / scale or 1.0
+        command_scale = np.abs(batch.raw_command).max() or 1.0
+        numbers = (command_scale, *covariate_scaling(batch), position.mean(), scale, increment, samples)
+        networks = jax.tree.map(lambda *arrays: jnp.stack(arrays), *members)
+        return cls(networks, *map(np.asarray, numbers))
 
     def inputs(self, batch: Batch, signals: BlockSignals) -> Float32[Array, "k t i"]:
         """Return the scaled inputs of each block, shape [K, T, 16 + C]."""

@@ -14,9 +14,8 @@ from hitchid.structures import Batch, split_validation
 
 # Inputs of the linear baselines, and their tests without padding.
 
-MAX_STEP_SAMPLES = (
-    100_000  # samples in a step of a stored baseline; chosen: tests of days at 100 Hz have fewer
-)
+# Samples in a step of a stored baseline; chosen: tests of days at 100 Hz have fewer.
+MAX_STEP_SAMPLES = 100_000
 
 
 class LinearInputs(eqx.Module):
@@ -113,13 +112,12 @@ def unpadded_tests(batch: Batch, inputs: np.ndarray) -> list[UnpaddedTest]:
     ]
 
 
-def free_run_error(simulated: Sequence[np.ndarray], tests: Sequence[UnpaddedTest]) -> float:
-    """Return the sum of squared errors of simulated travel, infinite where one diverged."""
+def free_run_error(model: "Autoregression", tests: Iterable[UnpaddedTest]) -> float:
+    """Return the sum of squared errors of free runs, infinite where one diverged."""
+    total = 0.0
     with np.errstate(all="ignore"):
-        errors = [travel - test.travel for travel, test in zip(simulated, tests, strict=True)]
-        total = sum(
-            float(np.sum(error[test.loss_mask] ** 2)) for error, test in zip(errors, tests, strict=True)
-        )
+        for test in tests:
+            total += float(np.sum((model.simulate(test.inputs) - test.travel)[test.loss_mask] ** 2))
     return total if np.isfinite(total) else np.inf
 
 
@@ -256,10 +254,7 @@ class ArxBaseline(Baseline):
         largest = max(scaling.counts)
 
         def error(model: Arx) -> float:
-            validation_tests = unpadded_tests(validation, model.inputs(validation))
-            return free_run_error(
-                [model.simulate(test.inputs) for test in validation_tests], validation_tests
-            )
+            return free_run_error(model, unpadded_tests(validation, model.inputs(validation)))
 
         def factor(batch: Batch) -> Float[np.ndarray, "r c"]:
             return _triangular_factor(unpadded_tests(batch, scaling.rows(batch, largest)), max(ORDERS))

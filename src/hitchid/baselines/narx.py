@@ -7,7 +7,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from hitchid.baselines.baseline import Baseline, FitContext, Sizes
-from hitchid.baselines.linear import Autoregression, LinearInputs
+from hitchid.baselines.linear import Autoregression, LinearInputs, to_displacement
 from hitchid.baselines.output_error import refine
 from hitchid.structures import Batch, split_validation
 
@@ -225,22 +225,18 @@ class Narx(Autoregression):
 
         A simulation that diverges becomes infinite or NaN, without a warning.
         """
-        lag = self.lag
-        section = Sections(
-            command=np.pad(inputs[0], (lag, 0))[None], past=np.zeros((1, lag)), constants=inputs[None, 1:, 0]
-        )
-        return self.travel_scale * polynomial_run(self.terms, self.coefficients, section, lag)[0][0]
+        return self._travels(inputs[None])[0]
 
     def free_run(self, batch: Batch) -> np.ndarray:
         """Return displacement simulated from commands and initial displacement, shape [T, N]."""
-        inputs, lag = self.inputs(batch), self.lag
-        sections = Sections(
-            command=np.pad(inputs[:, 0], ((0, 0), (lag, 0))),
-            past=np.zeros((len(inputs), lag)),
-            constants=inputs[:, 1:, 0],
-        )
-        travel = polynomial_run(self.terms, self.coefficients, sections, lag)[0]
-        return np.asarray(batch.initial)[:, None] + batch.sign * self.travel_scale * travel
+        return to_displacement(batch, self._travels(self.inputs(batch)))
+
+    def _travels(self, inputs: np.ndarray) -> np.ndarray:
+        """Return the travel of all tests at once, from rest, of inputs of shape [T, 2 + C, N]."""
+        lag = self.lag
+        commands = np.pad(inputs[:, 0], ((0, 0), (lag, 0)))
+        sections = Sections(commands, np.zeros((len(inputs), lag)), inputs[:, 1:, 0])
+        return self.travel_scale * polynomial_run(self.terms, self.coefficients, sections, lag)[0]
 
 
 class NarxBaseline(Baseline):

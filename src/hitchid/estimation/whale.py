@@ -279,14 +279,10 @@ class Whale(Search):
         """Search with a swarm of whales, in one compiled program."""
         carry, draws = begin(problem.dimensions, self.config, seed)
         last_generation = self.config.generations
-        for until in range(
-            REPORT_INTERVAL if callback else last_generation,
-            last_generation + REPORT_INTERVAL,
-            REPORT_INTERVAL,
-        ):
-            carry = _run_until(
-                problem.fitness, carry, self.config, draws, jnp.asarray(min(until, last_generation))
-            )
+        first = REPORT_INTERVAL if callback else last_generation
+        for until in range(first, last_generation + REPORT_INTERVAL, REPORT_INTERVAL):
+            stop = jnp.asarray(min(until, last_generation))
+            carry = _run_until(problem.fitness, carry, self.config, draws, stop)
             if callback is not None:
                 callback(int(carry[0].generation), float(carry[0].best_fitness))
             if until >= last_generation or bool(stagnated(carry[0], self.config)):

@@ -134,6 +134,7 @@ class CampaignJob:
                 for direction, dead_zone in {**mixed_dead_zones(campaign), **dead_zones}.items()
             }
             cycles = campaign.identification(CYCLE)
+            # Of the logs and of their strokes: a model must know either where it is validated on them.
             fingerprints |= _fingerprints(campaign, (CYCLE,), recorded)
             campaign = campaign.segmented(segmentation_dead_zones)
             fingerprints |= _fingerprints(campaign, campaign.directions, recorded)
@@ -149,6 +150,7 @@ class CampaignJob:
             data = prepare(campaign, m, dead_zones.get(m), covariates=names, cycles=cycles)
             channel_data[m] = replace(data, notices=(*in_motion, *data.notices))
             channel_configs[m] = config.channel(m, campaign, checkpoints)
+        # Now, not after the hours of phase 1.
         _check_window(config.training, channel_data)
         seen = frozenset(fingerprints)
         return cls(campaign, config, cycles, segmentation_dead_zones, seen, channel_data, channel_configs)
@@ -208,6 +210,7 @@ class CampaignJob:
 
     def build_model(self, results: ChannelResults) -> Identification:
         """Assemble the model from its channels, with provenance, uncertainty and rivals."""
+        # Last of all: only whole cycles show what compensators do where one stroke continues the other.
         results = self.judge_on_cycles(results)
         evidence = feedback_of(self._records())
         notices = [] if evidence is None else [evidence.sentence]

@@ -157,6 +157,7 @@ def find_compensators(
     if training is not None:
         judged, history, holdout_test = _trained(channel, held_out, data, training, config, log)
         channel, held_out, errors = judged.channel, judged.held_out, judged.errors
+    # The bands come last: they are calibrated on the channels as they ship, compensators judged and limited.
     rivals = None
     if config.quick_rivals:
         with log.timed("rivals"):

@@ -82,6 +82,7 @@ def run_pipeline(
     def build_model(number: int) -> Identification:
         return jobs[number].build_model(_campaign_results(phase2_results, number))
 
+    # Phase by phase over all campaigns, so that each program is compiled once and no core waits.
     phase1_results = _phase(run_phase1, keys, parts["phase 1"])
     calibrated_results = parallel(lambda number: _result_or_error(calibrate_gains, number), jobs)
     if on_physics is not None and config.training is not None:

@@ -138,7 +138,12 @@ def compare_modes(channel_data: Mapping[str, ChannelData]) -> TwoModes | None:
     objective = Objective.of(batch, SPEC)
     every_test = np.ones(direction_index.size, bool)
     directions = [direction_index == index for index in np.unique(direction_index)]
-    shared, *separate = [_best_fit(objective, tests) for tests in (every_test, *directions)]
+
+    def best_fit(tests: Bool[np.ndarray, " t"]) -> np.ndarray:
+        fits = [_fit(objective, tests, np.array(start), STEPS) for start in STARTS]
+        return min(fits, key=lambda fit: float(np.sum(objective.rmse_by_test(fit)[tests] ** 2)))
+
+    shared, *separate = [best_fit(tests) for tests in (every_test, *directions)]
     two_errors = [
         _held_out_errors(objective, tests, best) for tests, best in zip(directions, separate, strict=True)
     ]
@@ -172,14 +177,6 @@ def _difference(
         scores.append(Scores.by_test(objective.over(tests), position).select_parameters(free))
     names = [parameter.name for parameter, is_free in zip(SPEC.parameters, free, strict=True) if is_free]
     return difference_test(held[0][free] - held[1][free], scores[0], scores[1], names)
-
-
-def _best_fit(objective: Objective, tests: Bool[np.ndarray, " t"]) -> np.ndarray:
-    """Return the best least-squares position over some tests, from several starts."""
-    return min(
-        (_fit(objective, tests, np.array(start), STEPS) for start in STARTS),
-        key=lambda position: float(np.sum(objective.rmse_by_test(position)[tests] ** 2)),
-    )
 
 
 def _held_out_errors(

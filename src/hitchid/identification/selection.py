@@ -100,6 +100,7 @@ def choose_spec(
     candidates = choice.nested_candidates(baseline, largest, revised=revised)
     candidates = covariate_candidates(candidates, covariates, choice.with_covariate)
     chosen = best_candidate(candidates)
+    # Friction and a varying frequency come after the curves: beside wrong ones they would fit their error.
     while following := choice.next_structure(candidates[chosen]):
         candidates += following
         chosen = best_candidate(candidates)

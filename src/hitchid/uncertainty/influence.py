@@ -58,6 +58,12 @@ class Influence(NamedTuple):
         return self.by_test.T @ self.by_test + np.outer(self.by_dead_zone, self.by_dead_zone)
 
     @property
+    def correlation(self) -> Float[np.ndarray, "d d"]:
+        """Correlation of the estimates, shape [D, D]; zero for those without a standard error."""
+        scale = np.where(self.errors > 0, self.errors, 1.0)
+        return self.covariance / np.outer(scale, scale)
+
+    @property
     def errors(self) -> Float[np.ndarray, " d"]:
         """Standard errors of the estimates, shape [D]."""
         return np.sqrt(np.diag(self.covariance))

@@ -144,14 +144,14 @@ def assess(
     # In parallel, for the other direction may be done before: its core would wait.
     results = list(parallel(with_interval, range(len(results))).values())
     profiles = [result.profile for result in results if result.profile is not None]
-    results = [replace(result, interval=_with_open_ends(result, profiles)) for result in results]
+    results = [result.with_open_ends(profiles) for result in results]
     results = over_parameters_at_bound(results, objective, position)
     parts["derived"](ProgressUpdate("quantities that follow from the parameters", 0.0))
     quantities = derived(objective, position, influence, profiles, units)
     estimates = Estimates(
         parameters=_estimates(results, objective, position, influence, quantities, units),
         derived=quantities,
-        correlation=_correlation(influence),
+        correlation=tuple(tuple(map(float, row)) for row in influence.correlation),
         tests=_count_tests(objective),
         rows=len(influence.by_test),
     )
@@ -241,16 +241,6 @@ def _count_tests(objective: Objective) -> int:
     return int(np.sum(np.asarray(objective.batch.loss_mask).any(axis=1)))
 
 
-def _with_open_ends(result: ParameterResult, profiles: Sequence[Profile]) -> Interval:
-    """Return the interval, open where the parameter follows another one along an open end of its profile."""
-    others = (curve for curve in profiles if curve.number != result.number)
-    open_below, open_above = open_ends(
-        others, lambda point: result.search_range * float(point[result.number])
-    )
-    lower, upper = result.interval
-    return None if open_below else lower, None if open_above else upper
-
-
 def _estimates(
     results: Sequence[ParameterResult],
     objective: Objective,
@@ -299,23 +289,7 @@ def _estimates(
                     stands_for=dead_time_stands_for if parameter == DEAD_TIME else "",
                 ),
                 sensitivity=changes[number],
-                profile=_profile_points(result),
+                profile=result.profile_points,
             )
         )
     return tuple(estimates)
-
-
-def _profile_points(result: ParameterResult) -> tuple[tuple[float, float], ...]:
-    """Return the profile as pairs of value and RMSE."""
-    if result.profile is None:
-        return ()
-    coordinates = result.profile.positions[:, result.number]
-    return tuple(
-        (result.value(float(coordinate)), float(fitness))
-        for coordinate, fitness in zip(coordinates, result.profile.fitness, strict=True)
-    )
-
-
-def _correlation(influence: Influence) -> tuple[tuple[float, ...], ...]:
-    scale = np.where(influence.errors > 0, influence.errors, 1.0)
-    return tuple(tuple(map(float, row)) for row in influence.covariance / np.outer(scale, scale))

@@ -1,6 +1,6 @@
 """Uncertainty of one parameter while it is assessed."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import pi
 
@@ -10,7 +10,7 @@ from jaxtyping import Float
 from hitchid.estimation import Objective
 from hitchid.model.estimates import MAX_INTERVAL_RATIO, Interval
 from hitchid.structures import Parameter
-from hitchid.uncertainty.profile import Profile
+from hitchid.uncertainty.profile import Profile, open_ends
 from hitchid.uncertainty.scores import Scores
 
 # Verdict on a parameter: determined or not, its interval, and the excitation that would determine it.
@@ -140,6 +140,24 @@ class ParameterResult:
     def search_range(self) -> float:
         """Width of the search range: upper − lower, log(upper/lower) on a logarithmic scale."""
         return self.upper - self.lower if self.linear else float(np.log(self.upper / self.lower))
+
+    @property
+    def profile_points(self) -> tuple[tuple[float, float], ...]:
+        """Its profile as pairs of value and RMSE; empty for a Gauss-Newton interval."""
+        if self.profile is None:
+            return ()
+        points = zip(self.profile.positions[:, self.number], self.profile.fitness, strict=True)
+        return tuple((self.value(float(coordinate)), float(fitness)) for coordinate, fitness in points)
+
+    def with_open_ends(self, profiles: Iterable[Profile]) -> "ParameterResult":
+        """Return it with an end open where it follows another parameter along an open end of its profile."""
+        others = (curve for curve in profiles if curve.number != self.number)
+        open_below, open_above = open_ends(
+            others, lambda point: self.search_range * float(point[self.number])
+        )
+        lower, upper = self.interval
+        interval = None if open_below else lower, None if open_above else upper
+        return replace(self, interval=interval)
 
     @property
     def symbol(self) -> str:

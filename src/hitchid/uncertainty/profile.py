@@ -106,14 +106,13 @@ def profile(
     if objective.spec.parameters[number].name in objective.spec.bounds:
         lower, upper = lower or 0.0, 1.0 if upper is None else upper
     ordered = sorted([best, *points[1:]], key=lambda point: float(point.position[number]))
-    allowed = [point.excess <= 1 or point.position[number] in (lower, upper) for point in ordered]
     return Profile(
         number,
         lower,
         upper,
         positions=np.stack([point.position for point in ordered]),
         fitness=np.array([point.fitness for point in ordered]),
-        allowed=np.array(allowed),
+        allowed=np.array([p.excess <= 1 or p.position[number] in (lower, upper) for p in ordered]),
         tangents=np.stack([point.tangent for point in ordered]),
         search_range=_search_range(objective, number),
     )

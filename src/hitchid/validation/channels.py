@@ -165,6 +165,7 @@ def _run(channel: Channel, rivals: Rivals, tests: Sequence[Record]) -> _ModelRun
     def restarted(simulated: np.ndarray) -> list[np.ndarray]:
         return [delayed(measured, h) + simulated - delayed(simulated, h) for h in steps]
 
+    # What only simulates is carried on from the last measured displacement, so that all have every horizon.
     baselines = _baseline_runs(channel, rivals, tests, steps)
     multi_step = {
         PERSISTENCE: Persistence().predict(batch, steps),
