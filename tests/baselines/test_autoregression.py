@@ -82,7 +82,7 @@ def test_from_the_first_sample_any_horizon_is_the_free_run(model, measured):
 
 
 @every_autoregression
-def test_between_them_it_is_the_recursion_from_what_was_measured_up_to_the_horizon_before(model, measured):
+def test_predictions_are_the_recursion_from_what_was_measured(model, measured):
     inputs, travel = inputs_of(model, measured[0]), measured[1]
     rows = predict_ahead(model, inputs, travel, [2, 7])
     for horizon, row in zip((2, 7), rows, strict=True):

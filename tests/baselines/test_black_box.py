@@ -66,16 +66,18 @@ def by_hand(model, command, load, initial, sign):
 def test_free_run_is_the_recursion(commands, sign):
     model = black_box()
     batch = batch_of(commands[:1], integrated(commands[:1]), loads=[0.3], start=60.0, sign=sign)
-    found = model.free_run(batch)[0]
+    computed = model.free_run(batch)[0]
     step = int(model.samples)
     expected = by_hand(model, commands[0], 0.3, 60.0, sign)
     # Single precision in 64 steps of order 1, times the scale of 20 mm.
-    np.testing.assert_allclose(found[step::step], expected[: found[step::step].size], atol=64 * 20 * 1.2e-7)
-    assert found[0] == 60.0
-    np.testing.assert_allclose(found[1], (found[0] + found[2]) / 2, atol=1e-9)
+    np.testing.assert_allclose(
+        computed[step::step], expected[: computed[step::step].size], atol=64 * 20 * 1.2e-7
+    )
+    assert computed[0] == 60.0
+    np.testing.assert_allclose(computed[1], (computed[0] + computed[2]) / 2, atol=1e-9)
 
 
-def test_blocks_keep_the_integral_of_the_command_and_travel_at_their_ends(commands):
+def test_blocks_keep_the_commands_integral_and_the_travel(commands):
     batch = batch_of(commands, integrated(commands))
     signals = block_signals(batch, 2, np.asarray(batch.loss_mask))
     assert signals.commands.shape == (SAMPLES // (2 * STEPS), 8, STEPS, 2)
@@ -104,7 +106,7 @@ def test_an_integrator_is_learnt_and_its_load_heard(commands):
     assert errors[1] > 1.5 * errors[0]
 
 
-def test_a_training_that_never_becomes_better_than_its_start_is_no_baseline(commands):
+def test_a_training_without_success_is_no_baseline(commands):
     # Training tests rise, validation tests fall with the same command.
     factors = np.where(np.arange(8) % 4 == 3, -1.0, 1.0)
     tests = batch_of(commands, integrated(commands, factors), start=50.0)

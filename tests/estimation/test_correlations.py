@@ -67,7 +67,7 @@ def test_error_is_that_of_simulating_every_test(campaign, structure):
 
 @settings(max_examples=15)
 @given(seed=st.integers(0, 2**32 - 1), direction=st.sampled_from([1, -1]), stop=st.booleans())
-def test_tests_end_where_the_piston_stops_and_folds_leave_tests_out(campaign, seed, direction, stop):
+def test_end_stops_and_folds_leave_samples_out(campaign, seed, direction, stop):
     batch = campaign(6, seed=seed, direction=direction, end_stop=12.0 if stop else None)
     rng = np.random.default_rng(seed)
     kept = rng.random(6) < 0.7

@@ -63,12 +63,12 @@ def trails():
 class Still(Search):
     """Looks at the centre alone, and counts how often it was asked."""
 
-    asked: list = field(default_factory=list, repr=False, compare=False)
+    seeds: list = field(default_factory=list, repr=False, compare=False)
     first: float = 2.0
     name: str = field(default="still", init=False)
 
     def minimise(self, problem: SearchProblem, seed: int, callback=None) -> SearchResult:
-        self.asked.append(seed)
+        self.seeds.append(seed)
         trace = np.array([self.first, 1.0])
         positions = np.full((2, problem.dimensions), 0.5)
         return SearchResult(positions[1], 1.0, 2, 0, "looked", trace, positions)
@@ -106,7 +106,7 @@ def test_every_search_spends_the_one_budget(trails):
         assert list(trail.final_fitnesses) == [run.fitness[-1] for run in trail.runs]
 
 
-def test_values_are_those_that_gave_the_fitness_over_the_thinned_tests(trails):
+def test_values_are_those_that_gave_the_fitness(trails):
     misfit = misfit_of()
     thin, fitness = thinned(misfit)
     assert thin.batch.command.shape[1] < misfit.batch.command.shape[1]
@@ -116,18 +116,18 @@ def test_values_are_those_that_gave_the_fitness_over_the_thinned_tests(trails):
     np.testing.assert_allclose(found, said, rtol=0, atol=ROUNDING_MM)
 
 
-def test_the_same_seed_gives_the_same_run_and_another_seed_another(trails):
-    asked = SearchComparison(default_searches(BUDGET), SEEDS)
-    assert compare_searches(misfit_of(), asked) == trails
-    later = compare_searches(misfit_of(), asked, first_seed=1)
+def test_each_seed_gives_its_own_run(trails):
+    comparison = SearchComparison(default_searches(BUDGET), SEEDS)
+    assert compare_searches(misfit_of(), comparison) == trails
+    later = compare_searches(misfit_of(), comparison, first_seed=1)
     for one, other in zip(trails, later, strict=True):
         assert one.runs[1] == other.runs[0]
         assert one.runs[0].values != one.runs[1].values
 
 
 def test_a_run_from_disk_is_not_run_again(trails, tmp_path, monkeypatch):
-    asked = SearchComparison(default_searches(BUDGET), SEEDS, Checkpoints(tmp_path / "runs"))
-    assert compare_searches(misfit_of(), asked) == trails
+    comparison = SearchComparison(default_searches(BUDGET), SEEDS, Checkpoints(tmp_path / "runs"))
+    assert compare_searches(misfit_of(), comparison) == trails
     assert len(kept(tmp_path / "runs")) == 3 * SEEDS
 
     def refuse(*_):
@@ -135,9 +135,9 @@ def test_a_run_from_disk_is_not_run_again(trails, tmp_path, monkeypatch):
 
     for search in (Whale, DifferentialEvolution, MultiStart):
         monkeypatch.setattr(search, "minimise", refuse)
-    assert compare_searches(misfit_of(), asked) == trails
+    assert compare_searches(misfit_of(), comparison) == trails
     with pytest.raises(AssertionError, match="run again"):
-        compare_searches(misfit_of(), replace(asked, seeds=SEEDS + 1))
+        compare_searches(misfit_of(), replace(comparison, seeds=SEEDS + 1))
 
 
 @pytest.mark.parametrize(
@@ -154,27 +154,27 @@ def test_a_run_from_disk_is_not_run_again(trails, tmp_path, monkeypatch):
 )
 def test_other_data_or_another_form_never_meets_the_same_file(tmp_path, other):
     search = Still()
-    asked = SearchComparison((search,), SEEDS, Checkpoints(tmp_path))
-    compare_searches(misfit_of(), asked)
-    compare_searches(misfit_of(**other), asked)
-    assert search.asked == [0, 1, 0, 1]
+    comparison = SearchComparison((search,), SEEDS, Checkpoints(tmp_path))
+    compare_searches(misfit_of(), comparison)
+    compare_searches(misfit_of(**other), comparison)
+    assert search.seeds == [0, 1, 0, 1]
     assert len(kept(tmp_path)) == 2 * SEEDS
 
 
-def test_one_sample_that_differs_and_another_search_never_meet_the_same_file(tmp_path):
+def test_another_sample_or_search_never_meets_the_same_file(tmp_path):
     misfit = misfit_of()
     nearby = eqx.tree_at(
         lambda m: m.batch.displacement, misfit, misfit.batch.displacement.at[0, 100].add(1e-9)
     )
     for each, search in ((misfit, Still()), (nearby, Still()), (misfit, Still(first=3.0))):
         compare_searches(each, SearchComparison((search,), SEEDS, Checkpoints(tmp_path)))
-        assert search.asked == [0, 1]
+        assert search.seeds == [0, 1]
 
 
-def test_a_search_that_fails_is_a_run_without_fitness_that_ends_nowhere(tmp_path):
-    asked = SearchComparison((Failing(),), 3, Checkpoints(tmp_path))
+def test_a_search_that_fails_is_a_run_without_fitness(tmp_path):
+    comparison = SearchComparison((Failing(),), 3, Checkpoints(tmp_path))
     for _ in range(2):
-        (trail,) = compare_searches(misfit_of(), asked)
+        (trail,) = compare_searches(misfit_of(), comparison)
         assert [run.final_fitness for run in trail.runs] == [None, 1.0, None]
         assert list(trail.final_fitnesses) == [np.inf, 1.0, np.inf]
         assert trail.runs[2] == SearchRun((), (), 0, 0, "nothing finite from seed 2")

@@ -136,7 +136,7 @@ def test_stagnation_ends_the_search_early_and_says_so(level):
     assert np.all(np.isposinf(outcome.trace.best_fitness[7:]))
 
 
-def test_drawing_once_for_a_whale_moves_otherwise_from_the_same_start():
+def test_drawing_once_for_a_whale_moves_otherwise():
     wide, _, _ = logged(sphere, WhaleConfig(population=8, iterations=5))
     narrow, _, _ = logged(sphere, WhaleConfig(population=8, iterations=5, per_dimension=False))
     np.testing.assert_array_equal(wide.trace.fitness[0], narrow.trace.fitness[0])
@@ -165,7 +165,7 @@ def test_whales_stay_in_the_cube(seed, generation, corner):
 
 
 @pytest.mark.parametrize("stagnation", [None, 4])
-def test_a_search_that_is_looked_at_on_its_way_ends_where_it_would_have(stagnation):
+def test_a_search_looked_at_ends_where_it_would_have(stagnation):
     swarm = WhaleConfig(population=6, iterations=20, stagnation=stagnation, tolerance=0.05)
     carry, draws = whale.begin(3, swarm, 4)
     proceed = jax.jit(lambda carry, until: whale.run_until(sphere, carry, swarm, draws, until))
@@ -174,6 +174,6 @@ def test_a_search_that_is_looked_at_on_its_way_ends_where_it_would_have(stagnati
         carry, _ = whale.begin(3, swarm, 4)
         for until in stops:
             carry = proceed(carry, jnp.asarray(until))
-        found = whale.whale_result(carry, swarm)
-        for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(at_once), strict=True):
+        result = whale.whale_result(carry, swarm)
+        for one, other in zip(jax.tree.leaves(result), jax.tree.leaves(at_once), strict=True):
             np.testing.assert_array_equal(one, other)

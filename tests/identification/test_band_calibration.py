@@ -64,7 +64,7 @@ def covered(channel, bands, batch, coverage):
     return float(np.mean(inside[np.asarray(batch.loss_mask)]))
 
 
-def test_the_noise_is_that_of_the_sensor_and_bands_widen_with_level_and_horizon(make_record):
+def test_noise_is_the_sensors_and_bands_widen_with_their_level(make_record):
     _, _, bands = calibrated(exchangeable(make_record, np.random.default_rng(1), TESTS))
     # Ten thousand differences of the noise: 3 % at three standard errors.
     assert bands.noise == pytest.approx(NOISE, rel=0.05)
@@ -80,7 +80,7 @@ def test_the_noise_is_that_of_the_sensor_and_bands_widen_with_level_and_horizon(
     assert spread[1] / 10.0 == pytest.approx(GAIN_SPREAD, rel=0.7)
 
 
-def test_free_runs_and_predictions_of_tests_to_come_are_covered_to_the_level(make_record):
+def test_tests_to_come_are_covered_to_the_level(make_record):
     rng, horizons = np.random.default_rng(0), (1, 7, 30, 100)
     free_runs, predictions = {0.8: [], 0.9: []}, []
     for _ in range(SETS):
@@ -115,7 +115,7 @@ def test_what_too_few_tests_cannot_calibrate_is_said(count, words):
     assert band_notices(19) == []
 
 
-def test_every_test_is_held_out_once_from_a_fit_to_the_others(make_record):
+def test_every_test_is_held_out_once_from_a_fit(make_record):
     batch = exchangeable(make_record, np.random.default_rng(9), TESTS)
     channel, phase1, _ = calibrated(batch)
     held_out = cross_fitted(channel, phase1)
@@ -130,7 +130,7 @@ def test_every_test_is_held_out_once_from_a_fit_to_the_others(make_record):
         assert abs(gradient) < 1e-3
 
 
-def test_a_compensator_is_trained_without_the_fold_and_not_on_it(make_record):
+def test_a_compensator_is_trained_without_the_fold(make_record):
     batch = exchangeable(make_record, np.random.default_rng(10), 4)
     channel, phase1, _ = calibrated(batch)
     settings = CompensatorConfig(hidden=2, window=20, adam=AdamConfig(epochs=4, batch=8))
@@ -173,7 +173,7 @@ def test_bands_are_in_the_displacement_s_unit(make_record):
         assert metres.half_width(0.9, horizon, np.array(2e-3)) == pytest.approx(expected, rel=1e-4)
 
 
-def test_a_member_is_a_standard_error_away_or_as_far_as_bounds_allow(make_record):
+def test_a_member_of_the_ensemble_is_a_standard_error_away(make_record):
     channel, phase1, _ = calibrated(exchangeable(make_record, np.random.default_rng(7), TESTS))
     (member,) = held_out_training._ensemble(channel, phase1)
     assert isinstance(member, EnsembleMember)

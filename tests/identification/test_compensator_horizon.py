@@ -66,7 +66,7 @@ def test_an_untrained_compensator_corrects_all_horizons_of_the_tests(tests):
     assert outcome.notices == ()
 
 
-def test_one_that_is_wrong_from_the_first_sample_is_not_used_and_this_is_said(tests):
+def test_a_compensator_wrong_from_the_start_is_not_used(tests):
     channel = handmade.channel(LIFTING, "integrator", compensated=False)
     wrong = eqx.tree_at(
         lambda c: c.compensator.network.head.bias, channel, jnp.full(1, 100.0, dtype=jnp.float32)
@@ -88,7 +88,7 @@ class Diverging(Channel):
         return batch.displacement + jnp.array(factors)[:, None, None]
 
 
-def test_one_that_diverges_corrects_as_far_as_it_does_not_and_this_is_said(tests):
+def test_a_compensator_corrects_as_far_as_it_does_not_diverge(tests):
     plain = handmade.channel(LIFTING, "integrator", compensated=True)
     outcome = judged(Diverging(**{field.name: getattr(plain, field.name) for field in fields(plain)}), tests)
     assert outcome.channel.compensator.max_horizon == 20

@@ -40,7 +40,7 @@ def result(campaign, settings, updates):
     return hitchid.cross_validate(campaign, FOLDS, **settings, progress=updates.append)
 
 
-def test_every_test_is_held_out_once_and_from_its_own_model(campaign, result):
+def test_every_test_is_held_out_from_one_model(campaign, result):
     assert len(result) == FOLDS
     held_out = [name for fold in result for name in fold.tests]
     assert sorted(held_out) == sorted(record.name for record in campaign.records)
@@ -50,7 +50,7 @@ def test_every_test_is_held_out_once_and_from_its_own_model(campaign, result):
         assert fold.model.provenance.seen == set(fingerprints.values()) - own
 
 
-def test_the_pooled_figures_are_those_of_the_errors_computed_by_hand(campaign, result):
+def test_pooled_figures_are_those_computed_by_hand(campaign, result):
     records = {record.name: record for record in campaign.records}
     for direction in (LIFTING, LOWERING):
         squares, counts = [], []
@@ -85,7 +85,7 @@ def test_progress_moves_on_to_the_last_fold(result, updates):
     assert updates[-1].stage == f"validation of fold {FOLDS}"
 
 
-def test_folds_are_a_dataframe_with_a_pooled_row_and_one_screen(result):
+def test_folds_are_a_dataframe_and_fit_one_screen(result):
     pytest.importorskip("pandas")
     frame = result.to_dataframe()
     assert len(frame) == 2 * (FOLDS + 1)
@@ -96,7 +96,7 @@ def test_folds_are_a_dataframe_with_a_pooled_row_and_one_screen(result):
     assert len(repr(result).splitlines()) <= 25
 
 
-def test_a_fold_that_fails_gives_its_error_and_leaves_the_others(campaign, settings, monkeypatch):
+def test_a_fold_that_fails_leaves_the_others(campaign, settings, monkeypatch):
     def failing_first(campaigns, **options):
         error = FitError("lifting: nothing moves")
         return (error, *identify_many(campaigns[1:], **options))
@@ -112,7 +112,7 @@ def test_a_fold_that_fails_gives_its_error_and_leaves_the_others(campaign, setti
     assert set(names) == {name for name in other.tests if name.startswith(LIFTING)}
 
 
-def test_where_every_fold_fails_the_error_is_that_of_the_first(campaign, settings):
+def test_if_every_fold_fails_the_first_error_is_raised(campaign, settings):
     with pytest.raises(SettingsError, match=r"lifting: dead_zone: .*got 5"):
         hitchid.cross_validate(campaign, 2, **settings, dead_zones={LIFTING: 5.0})
 
@@ -127,7 +127,7 @@ def test_folds_that_cannot_be_made_are_refused(campaign, folds, message):
 
 
 @given(st.integers(2, 5), st.integers(0, 2**32 - 1))
-def test_tests_at_one_operating_point_share_a_fold_whatever_the_seed(levels_campaign, folds, seed):
+def test_tests_at_one_operating_point_share_a_fold(levels_campaign, folds, seed):
     """Fifteen tests at five levels of command: folds divide the levels, evenly to one."""
     divided = divide(levels_campaign, folds, seed)
     names = [[record.name for record in fold.held_out.records] for fold in divided]
@@ -153,7 +153,7 @@ def levels_campaign(make_record):
     return Campaign.of(records)
 
 
-def test_a_copy_of_a_held_out_test_is_not_identified_from(levels_campaign):
+def test_no_copy_of_a_held_out_test_is_used(levels_campaign):
     """With a covariate every test is an operating point, so that copies may fall into two folds."""
     first, *others = (
         replace(

@@ -39,7 +39,7 @@ def test_every_search_is_kept_by_its_method_and_as_json(search):
     assert "name" not in kept["search"]
 
 
-def test_a_search_from_outside_without_settings_is_kept_by_its_method():
+def test_a_search_from_outside_is_kept_by_its_method():
     class Guess(Search):
         name = "guess"
 

@@ -56,7 +56,7 @@ def test_for_directions_that_mirror_each_other_one_mode_would_do(prepared):
     assert comparison.sentence.startswith("the two directions do not differ significantly")
 
 
-def test_a_plant_with_half_the_gain_one_way_needs_two_modes(prepared):
+def test_half_the_gain_one_way_needs_two_modes(prepared):
     comparison = compare_modes(prepared(lifting=30.0, lowering=15.0))
     assert comparison.needed
     assert comparison.difference.p_value < 1e-3
@@ -66,7 +66,7 @@ def test_a_plant_with_half_the_gain_one_way_needs_two_modes(prepared):
     assert comparison.sentence.startswith("the two directions differ significantly")
 
 
-def test_an_error_that_two_models_make_much_smaller_is_not_called_insignificant():
+def test_a_much_smaller_error_is_not_called_insignificant():
     difference = DifferenceTest(3.0, ("gain",), 3.0, 0.2)
     few = TwoModes(needed=False, shared_rmse=6.3, two_rmse=1.6, tests=8, difference=difference)
     assert few.sentence.startswith("two models err 3.94 times less than one")
@@ -102,16 +102,16 @@ def test_factors_put_on_the_gains_are_found_again(simulated, factors):
     moved = scaled(HITCH, factors)
     gains = {mode: float(channel.benchmark.values[0]) for mode, channel in moved.channels.items()}
     assert gains == {mode: factor * handmade.GAINS[mode] for mode, factor in factors.items()}
-    found = calibrate_gains(HITCH, [simulated(moved, number) for number in range(2)])
+    calibrated = calibrate_gains(HITCH, [simulated(moved, number) for number in range(2)])
     # The integrator is linear in its gains: least squares stops at a relative change of 1e-8.
-    assert found == pytest.approx(factors, rel=1e-6)
+    assert calibrated == pytest.approx(factors, rel=1e-6)
 
 
 def test_no_factor_goes_farther_than_its_bound(simulated):
     moved = scaled(HITCH, {LIFTING: 1.5, LOWERING: 1.5})
-    found = calibrate_gains(HITCH, [simulated(moved, number) for number in range(2)])
-    assert max(found.values()) == pytest.approx(np.exp(MAX_LOG_FACTOR), rel=1e-3)
-    assert all(-MAX_LOG_FACTOR <= np.log(factor) <= MAX_LOG_FACTOR + 1e-12 for factor in found.values())
+    calibrated = calibrate_gains(HITCH, [simulated(moved, number) for number in range(2)])
+    assert max(calibrated.values()) == pytest.approx(np.exp(MAX_LOG_FACTOR), rel=1e-3)
+    assert all(-MAX_LOG_FACTOR <= np.log(factor) <= MAX_LOG_FACTOR + 1e-12 for factor in calibrated.values())
 
 
 @pytest.mark.parametrize(

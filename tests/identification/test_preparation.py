@@ -67,7 +67,7 @@ def stopping(make_record, stops, *, direction=1):
 
 
 @pytest.mark.parametrize("direction", [1, -1])
-def test_an_end_stop_is_the_place_where_tests_agree_to_stand(make_record, direction):
+def test_an_end_stop_is_where_tests_agree_to_stand(make_record, direction):
     records = stopping(make_record, [50.0, 50.1, 50.0], direction=direction)
     prepared = prepare(everything(records), LIFTING, GIVEN)
     assert prepared.end_stop == pytest.approx(20.0 + direction * 50.0)
@@ -126,7 +126,7 @@ def ramps(make_record, zones):
     ]
 
 
-def test_ramps_give_the_dead_zone_where_there_are_any_and_tests_otherwise(make_record, tests_of):
+def test_ramps_give_the_dead_zone_or_else_tests(make_record, tests_of):
     records = tests_of(5)
     with_ramps = prepare(everything([*ramps(make_record, [0.3, 0.32]), *records]), LIFTING, None).dead_zone
     assert (with_ramps.origin, with_ramps.count) == ("ramps", 2)
@@ -146,7 +146,7 @@ def test_a_given_dead_zone_is_taken_and_applied(make_record, tests_of):
     np.testing.assert_allclose(np.asarray(prepared.all_tests.command)[:, :SAMPLES], beyond, atol=1e-15)
 
 
-def test_a_dead_zone_that_cannot_be_told_is_zero_with_a_notice(make_record):
+def test_an_unknown_dead_zone_is_zero_with_a_notice(make_record):
     rng = np.random.default_rng(0)
     records = []
     for number in range(3):
@@ -178,7 +178,7 @@ def cycle(make_record, rng, name):
     return make_record(80.0 + held([30.0], [1.0, 0.0], speed), lifting, lowering, name=name)
 
 
-def test_cycles_alone_give_a_first_dead_zone_of_each_direction_but_not_the_held_out_ones(make_record):
+def test_cycles_alone_give_a_first_dead_zone_each_way(make_record):
     rng = np.random.default_rng(0)
     records = [cycle(make_record, rng, f"cycle-{number}") for number in range(4)]
     prepared = mixed_dead_zones(everything(records))

@@ -47,41 +47,41 @@ def simulated(make_record, form, values, *, noise=0.02, tests=8, dead_zone=0.0):
 
 def test_a_linear_plant_keeps_its_transfer_function(make_record):
     batch = simulated(make_record, PLAIN, [20.0, 15.0, 0.8])
-    found, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
+    phase1, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
     assert tried[0].name == "transfer function"
-    assert found.benchmark.nonlinearity is None
+    assert phase1.benchmark.nonlinearity is None
     # Noise of 0.02 mm over two thousand samples.
     assert tried[0].held_out_rmse == pytest.approx(0.02, rel=0.1)
-    assert [each.chosen for each in tried] == [True] + [False] * (len(tried) - 1)
+    assert [form.chosen for form in tried] == [True] + [False] * (len(tried) - 1)
     # Nested forms fit no worse, but that a spool lags by 1 ms at least, at 20 mm/s.
-    for each in tried:
-        lags = 0.02 if each.spec.spool_dynamics else 0.0
-        assert each.rmse <= np.hypot(tried[0].rmse * (1 + 1e-6), lags)
+    for form in tried:
+        lags = 0.02 if form.spec.spool_dynamics else 0.0
+        assert form.rmse <= np.hypot(tried[0].rmse * (1 + 1e-6), lags)
 
 
 def test_a_valve_curve_is_found_where_there_is_one(make_record):
     batch = simulated(make_record, CURVED, CURVED_VALUES)
-    found, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
-    named = {each.name: each for each in tried}
+    phase1, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
+    named = {form.name: form for form in tried}
     assert named["with valve curve"].held_out_rmse < 0.1 * named["transfer function"].held_out_rmse
-    assert found.benchmark.nonlinearity is not None
-    assert found.rmse == pytest.approx(0.02, rel=0.1)
+    assert phase1.benchmark.nonlinearity is not None
+    assert phase1.rmse == pytest.approx(0.02, rel=0.1)
     command = jnp.linspace(0.2, 0.9, 30)[None]
     true = CURVED.physical_model(jnp.asarray(CURVED_VALUES), SCALES)
-    speeds = [each.values[0] * each.nonlinearity.flow(command) for each in (found.benchmark, true)]
+    speeds = [model.values[0] * model.nonlinearity.flow(command) for model in (phase1.benchmark, true)]
     np.testing.assert_allclose(*speeds, rtol=0.02)
 
 
-def test_a_dead_zone_that_is_too_large_for_a_valve_curve_is_found_anew(make_record):
+def test_a_dead_zone_too_large_is_found_anew(make_record):
     batch = simulated(make_record, CURVED, CURVED_VALUES, dead_zone=0.1)
-    found, tried = choose_spec(
+    phase1, tried = choose_spec(
         batch.with_dead_zone(0.4), AutoStructure(PLAIN), SEARCH, 0, units=UNITS, revised=True
     )
-    (taken,) = (each for each in tried if each.chosen)
-    assert [each.dead_zone for each in tried[:2]] == [0.4, 0.4]
+    (taken,) = (form for form in tried if form.chosen)
+    assert [form.dead_zone for form in tried[:2]] == [0.4, 0.4]
     assert taken.dead_zone < 0.4
     # Noise of 0.02 mm; with 0.4 A some of the way is driven by commands that count as none.
-    assert found.rmse < 0.03
+    assert phase1.rmse < 0.03
 
 
 def test_folds_hold_out_levels_between_the_extremes(make_record):
@@ -95,25 +95,27 @@ def test_folds_hold_out_levels_between_the_extremes(make_record):
 
 def test_tests_of_one_level_leave_the_plain_form(make_record):
     batch = simulated(make_record, PLAIN, [20.0, 15.0, 0.8], tests=1)
-    found, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
+    phase1, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
     assert tried == ()
-    assert found.benchmark.nonlinearity is None
+    assert phase1.benchmark.nonlinearity is None
 
 
-def test_a_hysteresis_is_found_where_there_is_one_and_its_width_told(make_record):
+def test_a_hysteresis_is_found_with_its_width(make_record):
     played = replace(CURVED, spool_dynamics=True)
     values = [20.0, 15.0, 0.8, 0.02, 1.3, 1.5, 0.3, 0.02]
     true = dict(zip((p.name for p in played.parameters), values, strict=True))
     batch = simulated(make_record, played, values, dead_zone=0.3)
-    found, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
-    named = {each.name: each for each in tried}
+    phase1, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
+    named = {form.name: form for form in tried}
     with_play, without = (named[name] for name in ("with spool lag and hysteresis", "with valve curve"))
     assert better_on_held_out_tests(with_play.held_out, without.held_out)
     assert with_play.held_out_rmse == pytest.approx(np.sqrt(np.mean(with_play.held_out**2)), rel=1e-15)
     assert with_play.held_out_rmse < 0.5 * without.held_out_rmse
-    assert found.rmse == pytest.approx(0.02, rel=0.1)
-    (width,) = (each for each in found.assessment.derived if each.name == "width of the hysteresis")
-    (error,) = (each.error for each in found.parameter_estimates if each.name == "hysteresis")
+    assert phase1.rmse == pytest.approx(0.02, rel=0.1)
+    (width,) = (
+        quantity for quantity in phase1.assessment.derived if quantity.name == "width of the hysteresis"
+    )
+    (error,) = (estimate.error for estimate in phase1.parameter_estimates if estimate.name == "hysteresis")
     assert width.unit == "A"
     # Three standard errors, which are a tenth of the width at most.
     assert 3 * error * 0.3 < 0.1 * width.value
@@ -175,19 +177,19 @@ def loaded(make_record, *, tests=12):
 
 
 @pytest.mark.long
-def test_covariates_are_kept_where_they_change_something_and_what_they_change_is_found(make_record):
+def test_covariates_are_kept_where_they_change_something(make_record):
     batch = loaded(make_record)
     auto = AutoStructure(PLAIN, batch.covariate_names)
-    found, tried = choose_spec(batch, auto, SEARCH, 0, units=UNITS)
-    (chosen,) = (each for each in tried if each.chosen)
+    phase1, tried = choose_spec(batch, auto, SEARCH, 0, units=UNITS)
+    (chosen,) = (form for form in tried if form.chosen)
     assert set(chosen.spec.covariate_names) == {"pressure", "oil"}
-    assert {name for each in tried for name in each.spec.covariate_names} == {"flow", "oil", "pressure"}
-    named = {each.name: each for each in found.parameter_estimates}
+    assert {name for form in tried for name in form.spec.covariate_names} == {"flow", "oil", "pressure"}
+    named = {estimate.name: estimate for estimate in phase1.parameter_estimates}
     # Noise of 0.02 mm on 60 mm of travel is 1e-4 of the speed; the curves of the valve take a part.
     assert named["gain_by_pressure"].value == pytest.approx(0.2, rel=0.01)
     assert named["damping_ratio_by_oil"].value == pytest.approx(-0.6, rel=0.05)
     # Noise of 0.02 mm; without the covariates a speed that differs by 20 % from test to test.
-    assert found.rmse == pytest.approx(0.02, rel=0.1)
+    assert phase1.rmse == pytest.approx(0.02, rel=0.1)
     assert tried[0].held_out_rmse > 1.0
 
 
@@ -207,10 +209,11 @@ def test_a_covariate_taken_before_is_widened_once_another_is_known():
     def fit(base, specs):
         return [candidate(name, spec) for name, spec in specs]
 
-    found = covariate_candidates([candidate("plain", PLAIN)], ["oil", "pressure"], fit)
-    best = found[best_candidate(found)].spec
-    assert {each.covariate: each.quadratic for each in best.covariates} == {"pressure": True, "oil": False}
-    assert len({each.spec for each in found}) == len(found)
+    candidates = covariate_candidates([candidate("plain", PLAIN)], ["oil", "pressure"], fit)
+    best = candidates[best_candidate(candidates)].spec
+    quadratic = {effects.covariate: effects.quadratic for effects in best.covariates}
+    assert quadratic == {"pressure": True, "oil": False}
+    assert len({form.spec for form in candidates}) == len(candidates)
 
 
 def test_a_covariate_with_all_effects_has_no_larger_form():

@@ -104,7 +104,7 @@ def test_where_the_benchmark_is_the_truth_nothing_ships(tests_of):
     assert np.mean(judged.holdout_test.benchmark) == pytest.approx(NOISE * np.sqrt(1 + 1 / 6), rel=0.1)
 
 
-def test_what_is_judged_is_what_ships_fitted_to_the_other_tests(learnt):
+def test_what_is_judged_is_what_ships(learnt):
     batch, channel, judged = learnt
     np.testing.assert_allclose(
         judged.holdout_test.benchmark, free_run_errors(batch, channel.simulate(batch)), rtol=1e-9

@@ -44,11 +44,11 @@ def by_small_steps(command, *, at_rest, substeps=200):
 @pytest.mark.parametrize("at_rest", [-1.0, 0.0, 1.0])
 def test_its_response_is_that_of_its_equations_of_motion(at_rest):
     command = stepped()
-    found = np.asarray(model(at_rest=at_rest).response(command, STEP_S))[0]
+    computed = np.asarray(model(at_rest=at_rest).response(command, STEP_S))[0]
     expected = by_small_steps(command, at_rest=at_rest)
     # Friction is constant over a sample: where it reverses, its effect on the speed is off by one sample.
     reversal = TRAVEL * OMEGA**2 * STEP_S
-    assert np.abs(found - expected).max() < reversal / OMEGA
+    assert np.abs(computed - expected).max() < reversal / OMEGA
     assert np.ptp(expected) > 20.0
 
 
@@ -57,8 +57,8 @@ def test_the_error_of_the_time_stepping_falls_with_the_step():
     errors = []
     for divisor in (1, 2, 4):
         step_s = STEP_S / divisor
-        found = np.asarray(model().response(stepped(step_s), step_s))[0]
-        errors.append(np.abs(found - fine[:: 16 // divisor]).max())
+        computed = np.asarray(model().response(stepped(step_s), step_s))[0]
+        errors.append(np.abs(computed - fine[:: 16 // divisor]).max())
     assert errors[2] < 0.6 * errors[0]
     assert errors[0] < TRAVEL * OMEGA**2 * STEP_S / OMEGA
 
@@ -75,9 +75,11 @@ def test_with_little_friction_it_is_the_linear_lag():
         structure_named("integrator-second-order"), jnp.array([GAIN, OMEGA, DAMPING]), jnp.asarray(0.0)
     )
     travel = 1e-9
-    found, expected = (np.asarray(each.response(stepped(), STEP_S)) for each in (model(travel), linear))
+    computed, expected = (
+        np.asarray(benchmark.response(stepped(), STEP_S)) for benchmark in (model(travel), linear)
+    )
     # Friction holds the travel back by no more than a few times the travel that it compresses the oil by.
-    np.testing.assert_allclose(found, expected, rtol=0, atol=SAMPLES * travel)
+    np.testing.assert_allclose(computed, expected, rtol=0, atol=SAMPLES * travel)
 
 
 @given(
@@ -96,8 +98,8 @@ def test_it_comes_to_rest_and_its_gradients_are_finite(travel, at_rest, omega, d
         return PhysicalModel(STRUCTURE, values, jnp.asarray(0.0)).response(jnp.asarray(command), step_s)
 
     values = jnp.array([GAIN, omega, damping, travel, at_rest])
-    found = np.asarray(response(values))[0]
-    assert np.isfinite(found).all()
-    assert np.ptp(found[-3:]) <= 1e-3 * max(np.ptp(found), travel)
+    computed = np.asarray(response(values))[0]
+    assert np.isfinite(computed).all()
+    assert np.ptp(computed[-3:]) <= 1e-3 * max(np.ptp(computed), travel)
     columns = jax.jacfwd(response)(values)
     assert np.isfinite(columns).all()

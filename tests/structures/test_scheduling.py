@@ -44,10 +44,10 @@ def batch_of(make_record, loads, **more):
     return Batch.of(records, LIFTING, dead_zone=0.2, sign=1, covariates=["pressure", *more])
 
 
-def test_each_test_moves_as_the_model_with_the_parameters_of_its_load(make_record):
+def test_each_test_has_the_parameters_of_its_load(make_record):
     batch = batch_of(make_record, LOADS)
-    found = np.asarray(model().travel(batch))
-    assert np.ptp(found[:, 299]) > 1.0
+    computed = np.asarray(model().travel(batch))
+    assert np.ptp(computed[:, 299]) > 1.0
     for row, load in enumerate(LOADS):
         z = (load - 120.0) / 25.0
         square = 0.2 * z - 0.05 * min(z, MAX_QUADRATIC_SPREADS) ** 2
@@ -55,7 +55,7 @@ def test_each_test_moves_as_the_model_with_the_parameters_of_its_load(make_recor
         curves = handmade.scheduled(SECOND_ORDER, (handmade.CURVES[0] + 0.03 * z, *handmade.CURVES[1:]))
         alone = PhysicalModel(SECOND_ORDER, jnp.array(values), jnp.asarray(0.03), curves[0])
         expected = np.asarray(alone.travel(batch.take([row])))[0]
-        np.testing.assert_allclose(found[row], expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+        np.testing.assert_allclose(computed[row], expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
 
 def test_a_model_at_a_load_stands_beyond_three_standard_deviations():
@@ -74,9 +74,9 @@ def test_parameters_are_named_for_quantity_and_covariate():
     quantities = ("gain", "natural_frequency", "damping_ratio", "opening")
     by_pressure = [f"{name}_by_pressure{power}" for power in ("", "_squared") for name in quantities]
     assert names == [*by_pressure, "gain_by_oil", "opening_by_oil"]
-    found = model().named_values()
-    assert found["gain_by_pressure_squared"] == pytest.approx(-0.05)
-    assert found["opening_by_pressure"] == pytest.approx(0.03)
+    computed = model().named_values()
+    assert computed["gain_by_pressure_squared"] == pytest.approx(-0.05)
+    assert computed["opening_by_pressure"] == pytest.approx(0.03)
 
 
 def test_searched_values_reach_the_effects_they_are_named_for(make_record):
@@ -84,9 +84,9 @@ def test_searched_values_reach_the_effects_they_are_named_for(make_record):
     objective = Objective.of(batch, SPEC)
     names = [parameter.name for parameter in SPEC.parameters]
     values = np.linspace(0.1, 0.9, len(names))
-    found = SPEC.physical_model(jnp.asarray(values), objective.scales).named_values()
-    assert {name: found[name] for name in names} == pytest.approx(dict(zip(names, values, strict=True)))
-    assert found["natural_frequency_by_oil"] == 0.0
+    computed = SPEC.physical_model(jnp.asarray(values), objective.scales).named_values()
+    assert {name: computed[name] for name in names} == pytest.approx(dict(zip(names, values, strict=True)))
+    assert computed["natural_frequency_by_oil"] == 0.0
     vector = SPEC.physical_model(jnp.asarray(values), objective.scales).parameter_vector
     again = model().with_parameter_vector(model().parameter_vector)
     np.testing.assert_array_equal(again.parameter_vector, model().parameter_vector)

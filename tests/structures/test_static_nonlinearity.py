@@ -87,13 +87,13 @@ def test_hysteresis_is_the_play_operator(seed, hysteresis, dead_zone):
 
 
 @pytest.mark.parametrize("lag", [1e-3, 0.02, 0.5])
-def test_the_spool_answers_a_step_as_a_first_order_lag_in_the_mean_over_each_interval(lag):
+def test_the_spool_answers_a_step_as_a_lag(lag):
     """s(t) = 1 − exp(−t/τ); its mean from k h to (k + 1) h is 1 − τ/h (exp(−k h/τ) − exp(−(k + 1) h/τ))."""
     edge = np.exp(-STEP_S * np.arange(301) / lag)
     expected = 1.5 * (1 - lag / STEP_S * (edge[:-1] - edge[1:]))
-    found = effective(shape(spool_lag=lag), np.full(300, 1.5), dead_zone=0.0)
+    computed = effective(shape(spool_lag=lag), np.full(300, 1.5), dead_zone=0.0)
     # Differences of exponentials, τ/h times, and 300 products.
-    np.testing.assert_allclose(found, expected, rtol=0, atol=300 * EPS * 1.5 * max(1.0, lag / STEP_S))
+    np.testing.assert_allclose(computed, expected, rtol=0, atol=300 * EPS * 1.5 * max(1.0, lag / STEP_S))
     beyond = effective(shape(spool_lag=lag), np.full(300, 1.5))
     np.testing.assert_allclose(beyond, np.maximum(expected - DEAD_ZONE, 0.0), rtol=0, atol=1e-13)
 
@@ -119,7 +119,7 @@ def test_a_command_of_zero_lets_nothing_flow_for_any_hysteresis(seed, hysteresis
     assert np.count_nonzero(left < room - 4 * EPS) > 250
 
 
-def test_flow_is_the_power_of_what_lies_beyond_the_opening_until_it_saturates():
+def test_flow_is_a_power_until_it_saturates():
     command = np.array([0.0, 0.3, 0.5, 1.0, 2.0])
     beyond = np.maximum(command / 2.0 - 0.2, 0.0)
     np.testing.assert_allclose(flow(shape(opening=0.2, exponent=2.0), command), 2.0 * beyond**2, rtol=8 * EPS)
@@ -128,28 +128,26 @@ def test_flow_is_the_power_of_what_lies_beyond_the_opening_until_it_saturates():
 
 
 @given(opening=st.floats(-0.6, 0.9), exponent=st.floats(0.34, 3.0), saturation=st.floats(0.05, 1e4))
-def test_flow_never_falls_with_the_command_and_a_standing_command_moves_nothing(
-    opening, exponent, saturation
-):
+def test_flow_never_falls_with_the_command(opening, exponent, saturation):
     curves = shape(opening=opening, exponent=exponent, saturation=saturation)
     command = np.linspace(0.0, 2.5, 60)
-    found = flow(curves, command)
-    assert found[0] == 0.0
-    assert np.all(np.diff(found) >= -4 * EPS * found.max())
-    assert found.max() <= 2.0 * saturation * (1 + 4 * EPS)
-    np.testing.assert_array_equal(flow(curves, -command), -found)
+    computed = flow(curves, command)
+    assert computed[0] == 0.0
+    assert np.all(np.diff(computed) >= -4 * EPS * computed.max())
+    assert computed.max() <= 2.0 * saturation * (1 + 4 * EPS)
+    np.testing.assert_array_equal(flow(curves, -command), -computed)
 
 
-def test_a_gain_along_the_stroke_gives_the_travel_of_its_differential_equation():
+def test_a_gain_along_the_stroke_solves_its_equation():
     """dx/dt = v exp(a ξ + b ξ² − b/3), ξ = x/50 − 1: with b = 0, exp(−a ξ) falls by a v t/50 from exp(a)."""
     slope, speed = 0.8, 10.0
     errors = []
     for step_s in (0.02, 0.01):
         time_s = step_s * np.arange(round(3.0 / step_s) + 1)
         curves = shape(position_slope=slope)
-        found = travelled(curves, np.full(time_s.size, speed), 0.0, step_s=step_s)
+        computed = travelled(curves, np.full(time_s.size, speed), 0.0, step_s=step_s)
         place = -np.log(np.exp(slope) - slope * speed * time_s / 50.0) / slope
-        errors.append(np.abs(found - 50.0 * (place + 1)).max())
+        errors.append(np.abs(computed - 50.0 * (place + 1)).max())
     # One Euler step a sample: half the step, half the error.
     assert errors[1] < 0.02
     assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.05)
@@ -177,14 +175,14 @@ slopes = st.floats(-2.0, 2.0)
 
 @given(slope=slopes, curve=slopes, place=st.floats(-QUADRATIC_RANGE, QUADRATIC_RANGE))
 def test_within_reach_the_gain_is_its_formula(slope, curve, place):
-    found = gain(shape(position_slope=slope, position_curve=curve), [place])
+    computed = gain(shape(position_slope=slope, position_curve=curve), [place])
     # Exponents up to 7 of places that round in 50 ± 75 mm.
     expected = np.exp(slope * place + curve * (place**2 - 1 / 3))
-    np.testing.assert_allclose(found, expected, rtol=50 * EPS)
+    np.testing.assert_allclose(computed, expected, rtol=50 * EPS)
 
 
 @given(slope=slopes, curve=slopes, beyond=st.floats(0.0, 1e4), side=st.sampled_from([-1.0, 1.0]))
-def test_beyond_reach_the_curve_is_held_and_the_slope_goes_on_to_a_factor_of_two(slope, curve, beyond, side):
+def test_beyond_reach_the_gain_changes_by_two_at_most(slope, curve, beyond, side):
     curves = shape(position_slope=slope, position_curve=curve)
     edge, far = gain(curves, [side * QUADRATIC_RANGE, side * (QUADRATIC_RANGE + beyond)])
     went_on = float(np.clip(side * slope * beyond, -MAX_EXTRAPOLATION, MAX_EXTRAPOLATION))

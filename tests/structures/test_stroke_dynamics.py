@@ -74,15 +74,15 @@ def by_small_steps(slope, command, substeps=200):
 @pytest.mark.parametrize("slope", [-0.4, 0.4])
 def test_its_travel_is_that_of_its_equations_of_motion(slope):
     command = steps()
-    found, expected = travel(model(slope), command), by_small_steps(slope, command)
+    computed, expected = travel(model(slope), command), by_small_steps(slope, command)
     # Friction and frequency are constant over a sample: a reversal of friction puts the speed off by that of
     # one sample, and the frequency is late by half the travel of one.
     highest = OMEGA * np.exp(abs(slope) * np.abs(expected - CENTRE).max() / SPAN)
     reversal = FRICTION_TRAVEL * highest * STEP_S
     late = abs(slope) / SPAN * 0.5 * np.abs(np.diff(expected)).max()
-    assert np.abs(found - expected).max() < reversal + late * np.ptp(expected)
+    assert np.abs(computed - expected).max() < reversal + late * np.ptp(expected)
     constant = travel(model(0.0), command)
-    assert np.abs(constant - expected).max() > 4 * np.abs(found - expected).max()
+    assert np.abs(constant - expected).max() > 4 * np.abs(computed - expected).max()
 
 
 def test_without_slope_it_is_the_structure_with_dry_friction():
@@ -108,9 +108,9 @@ def test_between_nodes_it_is_the_model_of_the_place(slope):
     places = jnp.linspace(-STROKE_RANGE, STROKE_RANGE, 301)
     second = np.abs(jax.vmap(jax.jacfwd(jax.jacfwd(entries)))(places)).max(axis=0)
     for place in (-1.23, 0.02, 0.777):
-        found = along.at(jnp.asarray(place))
+        computed = along.at(jnp.asarray(place))
         at_place = jnp.concatenate(
-            [found.transition.ravel(), found.gamma0, found.gamma1, found.friction.gains]
+            [computed.transition.ravel(), computed.gamma0, computed.gamma1, computed.friction.gains]
         )
         bound = width**2 / 8 * second
         assert np.all(np.abs(at_place - entries(jnp.asarray(place))) <= 1.01 * bound + 1e-12)
@@ -144,20 +144,20 @@ def test_one_sample_at_a_time_it_is_the_whole_travel(structure):
         physical_model, dead_zone=0.0, min_command=1e-6, sign=1, step_s=STEP_S
     )
     zero = jnp.zeros(())
-    valve, plant, position, found = discrete.closed_valve(), discrete.init_state(zero, zero), zero, []
+    valve, plant, position, computed = discrete.closed_valve(), discrete.init_state(zero, zero), zero, []
     for u in command:
-        found.append(float(position))
+        computed.append(float(position))
         valve = discrete.step_valve(valve, jnp.asarray(u))
         plant, increment = discrete.advance(plant, valve, position)
         position = position + increment
-    np.testing.assert_allclose(found, travel(physical_model, command), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(computed, travel(physical_model, command), rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("displacement", [10.0, 40.0, 75.0])
 def test_a_linear_model_has_the_frequency_of_its_displacement(displacement):
     linear = linearise(model(0.4), displacement=displacement, command=0.5)
-    found = np.sort(np.abs(np.linalg.eigvals(linear.a)))[1:]
-    np.testing.assert_allclose(found, OMEGA * np.exp(0.4 * (displacement - CENTRE) / SPAN), rtol=1e-9)
+    computed = np.sort(np.abs(np.linalg.eigvals(linear.a)))[1:]
+    np.testing.assert_allclose(computed, OMEGA * np.exp(0.4 * (displacement - CENTRE) / SPAN), rtol=1e-9)
 
 
 def test_its_parameters_are_identified_from_its_own_travel():
@@ -171,8 +171,8 @@ def test_its_parameters_are_identified_from_its_own_travel():
     objective = Objective.of(batch_of(commands, list(displacements[:, :400])), spec)
     start = objective.position(np.array([35.0, 6.0, 0.4, 0.2, 0.0, 0.0]))
     fit = refine_subset(objective, range(6), [start], 120, 1e-14)
-    found = objective.values(fit.position)
-    np.testing.assert_allclose(found[0], GAIN, rtol=1e-3)
+    computed = objective.values(fit.position)
+    np.testing.assert_allclose(computed[0], GAIN, rtol=1e-3)
     # ξ of the fit is in half ranges of its own tests: the slope per millimetre is what is determined.
-    slope_per_mm = found[5] / float(objective.scales.span)
+    slope_per_mm = computed[5] / float(objective.scales.span)
     np.testing.assert_allclose(slope_per_mm, 0.3 / float(simulated.scales.span), rtol=2e-2)

@@ -27,18 +27,18 @@ def estimates_at(batch_of):
         batch = batch_of(zip(commands, travels, strict=True), start=None)
         objective = Objective.of(batch, FORM)
         position = objective.position(np.array([20.0, 8.0, damping_ratio]))
-        known, _ = assess(objective, position, units={"x": "mm", "u": "A"})
-        return {estimate.name: estimate for estimate in known.parameters}
+        assessment, _ = assess(objective, position, units={"x": "mm", "u": "A"})
+        return {estimate.name: estimate for estimate in assessment.parameters}
 
     return make
 
 
-def test_a_frequency_beside_a_damping_ratio_inside_its_bounds_is_determined(estimates_at):
+def test_a_frequency_with_damping_inside_bounds_is_determined(estimates_at):
     estimates = estimates_at(0.3, plant=0.3)
     assert all(estimate.verdict == "determined" for estimate in estimates.values())
 
 
-def test_a_frequency_that_a_damping_ratio_at_its_bound_hardly_moves_stays_determined(estimates_at):
+def test_a_frequency_that_damping_hardly_moves_stays_determined(estimates_at):
     estimates = estimates_at(LOWEST_DAMPING, plant=0.01)
     assert not estimates["damping_ratio"].determined
     # Of a lightly damped oscillator the frequency shows in the period, whatever the damping.
@@ -60,14 +60,14 @@ def at_bound(frequencies, allowed):
 FOUND = ParameterResult(0, FREQUENCY, 1.0, 100.0, linear=False, bound="", interval=(9.0, 11.0))
 
 
-def test_an_interval_contains_what_all_allowed_values_of_the_other_give():
+def test_an_interval_covers_all_allowed_values_of_the_other():
     # Half of the unit interval is a factor of ten: 0.01 of it is 4.7 %.
     result = over_values_of(at_bound([0.5, 0.51, 0.9], [True, True, False]), FOUND, step=0.0)
     assert result.determined
     assert result.interval == pytest.approx((9.0, 11.0 * 100**0.01), rel=1e-12)
 
 
-def test_a_parameter_that_follows_another_along_its_profile_is_determined_only_at_the_bound():
+def test_a_parameter_that_follows_another_is_conditional_on_it():
     result = over_values_of(at_bound([0.5, 0.8], [True, True]), FOUND, step=0.0)
     assert not result.determined
     assert result.conditional_on == ("ξh",)
@@ -75,7 +75,7 @@ def test_a_parameter_that_follows_another_along_its_profile_is_determined_only_a
 
 
 @pytest.mark.parametrize(("step", "determined"), [(-0.02, True), (0.03, True), (0.3, False), (-0.3, False)])
-def test_an_interval_contains_the_estimate_without_the_bound_or_is_conditional(step, determined):
+def test_an_interval_covers_the_unbounded_estimate_or_is_conditional(step, determined):
     # From 10 to 11 is ln 1.1 / ln 100 = 0.0207 of the unit interval, to 9 it is 0.0229; a factor of three,
     # the widest interval of a determined parameter, is 0.2386.
     result = over_values_of(at_bound([0.5, 0.5], [True, True]), FOUND, step=step)

@@ -45,7 +45,7 @@ scores = st.lists(
 
 
 @pytest.mark.parametrize(("tests", "level"), [(10, 0.5), (10, 0.8), (20, 0.9)])
-def test_where_samples_of_a_test_are_one_coverage_is_within_a_test_of_the_level(tests, level):
+def test_coverage_is_within_a_test_of_the_level(tests, level):
     drawn = np.random.default_rng(0).random((SETS, tests))
     quantiles = [conformal_quantile([np.full(30, score) for score in row], level) for row in drawn]
     # Of uniform scores a share q lies below q; the k-th of T uniform numbers is a Beta(k, T + 1 − k) one.
@@ -62,14 +62,14 @@ def test_the_level_needs_no_raising_where_samples_are_independent(level):
     tests, samples = 20, 1000
     rng = np.random.default_rng(1)
     drawn = rng.random((20, tests, samples))
-    found = np.array([conformal_quantile(list(each), level) for each in drawn])
+    computed = np.array([conformal_quantile(list(rows), level) for rows in drawn])
     # A binomial count of all samples, and quantiles between grid points 1/400 apart.
     error = np.sqrt(level * (1 - level) / (tests * samples))
-    assert np.all(np.abs(found - level) <= SURE * error + GRID[1])
-    assert abs(found.mean() - level) <= SURE * error / np.sqrt(20) + GRID[1]
+    assert np.all(np.abs(computed - level) <= SURE * error + GRID[1])
+    assert abs(computed.mean() - level) <= SURE * error / np.sqrt(20) + GRID[1]
 
 
-def test_the_level_is_raised_where_some_tests_err_more_than_others():
+def test_the_level_is_raised_where_tests_differ():
     rng, level = np.random.default_rng(2), 0.8
     raised = []
     for _ in range(40):
@@ -89,18 +89,18 @@ def test_noise_is_found_beside_what_is_smooth_or_broken():
     time_s = 0.01 * np.arange(samples)
     smooth = 10 * np.sin(np.pi * time_s) + 3 * time_s**2
     tests = [smooth + size * rng.standard_normal(samples) for _ in range(5)]
-    found = sensor_noise(tests)
+    computed = sensor_noise(tests)
     # Third differences are correlated, 1, −15/20, 6/20, −1/20: as good as N/(1 + 2 Σρ²) = N/2.31 independent
     # ones. Δ³ of the sine is 10 (π/100)³ = 3e-4 against √20 · 0.05 = 0.22: 1e-6 of the variance. The median
     # of five tests scatters less than one of them.
     degrees = samples / 2.31
     least, most = np.sqrt(stats.chi2.ppf([0.0005, 0.9995], degrees) / degrees)
-    assert least <= found / size <= most
+    assert least <= computed / size <= most
     # One broken test moves the median to the next of four whose scatter is √(2.31/2N) = 1.7 %.
-    assert sensor_noise([*tests[:4], 100 * tests[4]]) == pytest.approx(found, rel=SURE * 0.017)
+    assert sensor_noise([*tests[:4], 100 * tests[4]]) == pytest.approx(computed, rel=SURE * 0.017)
 
 
-def test_a_parabola_has_no_noise_and_tests_of_three_samples_tell_none():
+def test_a_parabola_or_three_samples_have_no_noise():
     # Rounding of 1e4.
     assert sensor_noise([np.arange(100.0) ** 2]) <= 8 * np.finfo(float).eps * 1e4
     assert sensor_noise([np.array([0.0, 5.0, -5.0])]) == 0.0
@@ -113,14 +113,14 @@ def test_a_parabola_has_no_noise_and_tests_of_three_samples_tell_none():
     noise=st.floats(0, 1),
     level=st.sampled_from(LEVELS),
 )
-def test_the_score_of_a_sample_is_that_whose_band_just_reaches_it(errors, spread, noise, level):
-    (found,) = nonconformity_scores([errors], [np.full(errors.size, spread)], noise, level)
+def test_a_samples_score_has_a_band_that_reaches_it(errors, spread, noise, level):
+    (computed,) = nonconformity_scores([errors], [np.full(errors.size, spread)], noise, level)
     floor = stats.norm.ppf(0.5 + level / 2) * noise
     # √(e² − f²) and back: rounding of squares of at most 100.
     np.testing.assert_allclose(
-        np.hypot(floor, found * spread), np.maximum(np.abs(errors), floor), atol=1e-6, rtol=0
+        np.hypot(floor, computed * spread), np.maximum(np.abs(errors), floor), atol=1e-6, rtol=0
     )
-    assert np.all(found[np.abs(errors) <= floor] == 0)
+    assert np.all(computed[np.abs(errors) <= floor] == 0)
 
 
 def test_a_sample_where_all_alternatives_agree_scores_finitely():
@@ -150,7 +150,7 @@ def test_between_levels_and_horizons_bands_are_interpolated():
     assert BANDS.half_width(0.9, 3, np.zeros(())) == pytest.approx(0.1 * np.hypot(z, q))
 
 
-def test_beyond_the_last_horizon_the_error_grows_in_proportion_to_the_horizon():
+def test_beyond_the_last_horizon_errors_grow_in_proportion():
     z = stats.norm.ppf(0.95)
     # Of a movement in proportion, ten times the error at 100 samples; the noise and its factor stay.
     expected = np.sqrt(z**2 * 0.01 + 1.8**2 * (0.01 + 10.0**2))

@@ -107,7 +107,7 @@ shapes = st.tuples(st.integers(12, 60), st.integers(1, 4), st.integers(0, 99), s
 
 
 @given(shape=shapes)
-def test_repeating_a_jacobian_under_white_errors_narrows_as_one_more_of_the_same(shape):
+def test_a_repeated_jacobian_narrows_as_one_more_test(shape):
     samples, dimensions, seed, tests = shape
     jacobian = np.random.default_rng(seed).normal(size=(samples, dimensions))
     information = by_hand(jacobian, tests=tests)
@@ -166,28 +166,28 @@ def test_what_is_known_comes_back_from_json(identified):
         (8, 3),
     )
     whole = Uncertainty(phase1.assessment, bands=bands, information=gathered(phase1))
-    for known in (whole, Uncertainty(phase1.assessment)):
-        assert READ.validate_python(json.loads(canonical_json(asdict(known)))) == known
+    for uncertainty in (whole, Uncertainty(phase1.assessment)):
+        assert READ.validate_python(json.loads(canonical_json(asdict(uncertainty)))) == uncertainty
     back = READ.validate_python(json.loads(canonical_json(asdict(whole)))).information
     np.testing.assert_array_equal(standard_errors(back), standard_errors(whole.information))
 
 
 @pytest.mark.parametrize("spoil", [{"curvature": [[1.0, None]]}, {"block_size": "often"}, {"names": "gain"}])
 def test_a_description_of_another_kind_is_refused(identified, spoil):
-    known = Uncertainty(identified().assessment)
-    described = asdict(replace(known, information=by_hand(np.ones((12, 1)))))
+    uncertainty = Uncertainty(identified().assessment)
+    described = asdict(replace(uncertainty, information=by_hand(np.ones((12, 1)))))
     described["information"].update(spoil)
     with pytest.raises(ValueError, match=f"information.{next(iter(spoil))}"):
         READ.validate_python(described)
 
 
-def test_what_a_tests_own_speed_would_take_up_is_not_heard():
+def test_what_a_tests_own_speed_absorbs_is_left_out():
     rng = np.random.default_rng(4)
     travel, other = np.cumsum(rng.random(50)), rng.standard_normal(50)
     jacobian = np.stack([3.0 * travel, other], axis=1)
     information = by_hand(jacobian)
     np.testing.assert_array_equal(profile_out_gain(information, travel, jacobian), jacobian)
-    heard = profile_out_gain(replace(information, per_test_gain=True), travel, jacobian)
+    profiled = profile_out_gain(replace(information, per_test_gain=True), travel, jacobian)
     # A speed that is tied to one with ρ = 0.01 leaves ρ/(1 + ρ) of what goes with the travel itself.
-    np.testing.assert_allclose(heard[:, 0], 3.0 * travel * 0.01 / 1.01, rtol=1e-9)
-    assert abs(travel @ heard[:, 1]) <= 0.01 * abs(travel @ other)
+    np.testing.assert_allclose(profiled[:, 0], 3.0 * travel * 0.01 / 1.01, rtol=1e-9)
+    assert abs(travel @ profiled[:, 1]) <= 0.01 * abs(travel @ other)

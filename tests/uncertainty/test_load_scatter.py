@@ -48,20 +48,20 @@ def balanced(loads, error):
 
 
 @pytest.mark.parametrize("error", [1e-4, 0.01])
-def test_of_a_balanced_design_scatter_and_interval_are_those_of_textbooks(error):
+def test_a_balanced_design_has_the_textbooks_scatter(error):
     loads = np.random.default_rng(2).normal(0.0, 0.04, 8)
-    found = scatter_of(balanced(loads, error), NAMES)
+    result = scatter_of(balanced(loads, error), NAMES)
     variance, degrees = np.var(loads, ddof=1), 7
-    assert found.scatter == pytest.approx(np.sqrt(variance - error**2), rel=1e-5)
+    assert result.scatter == pytest.approx(np.sqrt(variance - error**2), rel=1e-5)
     quantiles = stats.chi2.ppf([0.975, 0.025], degrees)
-    assert found.interval == pytest.approx(np.sqrt(degrees * variance / quantiles - error**2), rel=1e-6)
-    kept = found.scatter**2 / (found.scatter**2 + error**2)
-    own = np.array([test.speed for test in found.tests])
+    assert result.interval == pytest.approx(np.sqrt(degrees * variance / quantiles - error**2), rel=1e-6)
+    kept = result.scatter**2 / (result.scatter**2 + error**2)
+    own = np.array([test.speed for test in result.tests])
     assert own == pytest.approx(kept * (loads - loads.mean()), rel=1e-4)
-    assert found.shrinkage == pytest.approx(1 - np.sqrt(kept), abs=1e-5)
+    assert result.shrinkage == pytest.approx(1 - np.sqrt(kept), abs=1e-5)
 
 
-def test_the_interval_holds_the_scatter_in_95_of_100_campaigns_whatever_the_errors_are():
+def test_the_interval_holds_the_scatter_in_95_percent():
     rng, campaigns, scatter = np.random.default_rng(3), 2000, 0.015
     sensitivities, directions = 1 / np.array([0.002, 0.01, 0.02, 0.02, 0.04]), np.eye(5)
     held_truth = 0
@@ -73,44 +73,44 @@ def test_the_interval_holds_the_scatter_in_95_of_100_campaigns_whatever_the_erro
 
 
 def test_a_test_that_runs_4_percent_fast_is_named(found_in):
-    found = found_in([1.04, *[1.0] * 7])
+    result = found_in([1.04, *[1.0] * 7])
     # The model's speed is that of all tests: the test is fast by 4 % less its share of their mean.
-    assert found.tests[0].test == "test 0"
-    assert found.tests[0].speed == pytest.approx(0.04 * 7 / 8, abs=1e-3)
-    assert found.scatter == pytest.approx(0.04 / np.sqrt(8), rel=0.02)
-    assert found.determined
-    assert "± 1.4 %" in found.sentence
+    assert result.tests[0].test == "test 0"
+    assert result.tests[0].speed == pytest.approx(0.04 * 7 / 8, abs=1e-3)
+    assert result.scatter == pytest.approx(0.04 / np.sqrt(8), rel=0.02)
+    assert result.determined
+    assert "± 1.4 %" in result.sentence
 
 
 @pytest.mark.parametrize(("factor", "shared"), [(1.0, True), (1.05, False)])
-def test_without_scatter_the_interval_begins_at_zero_and_nothing_is_determined(found_in, factor, shared):
-    found = found_in([factor] * 8, shared=shared)
-    assert found.interval[0] == 0.0
-    assert not found.determined
-    assert "not determined" in found.sentence
-    assert found.scatter < 1e-3  # noise of 0.02 mm in some 100 mm of travel
+def test_without_scatter_the_interval_begins_at_zero(found_in, factor, shared):
+    result = found_in([factor] * 8, shared=shared)
+    assert result.interval[0] == 0.0
+    assert not result.determined
+    assert "not determined" in result.sentence
+    assert result.scatter < 1e-3  # noise of 0.02 mm in some 100 mm of travel
 
 
 def test_the_order_of_the_tests_makes_no_difference(found_in):
     factors, order = np.array([1.02, 0.97, 1.0, 1.05, 0.99, 1.01, 0.96, 1.0]), np.random.default_rng(4)
     shuffled = order.permutation(8)
     names = [NAMES[number] for number in shuffled]
-    found, other = found_in(factors), found_in(factors[shuffled], names=names, seeds=shuffled)
+    result, other = found_in(factors), found_in(factors[shuffled], names=names, seeds=shuffled)
     # The search for the errors' covariance ends a little elsewhere; the scatter hardly depends on it.
-    assert other.scatter == pytest.approx(found.scatter, rel=1e-4)
+    assert other.scatter == pytest.approx(result.scatter, rel=1e-4)
     speeds = {test.test: test.speed for test in other.tests}
-    assert [test.speed for test in found.tests] == pytest.approx([speeds[n] for n in NAMES], abs=1e-5)
+    assert [test.speed for test in result.tests] == pytest.approx([speeds[n] for n in NAMES], abs=1e-5)
 
 
-def test_a_model_keeps_and_tells_the_scatter_and_may_have_none():
-    found = scatter_of(balanced(np.random.default_rng(2).normal(0.0, 0.04, 8), 0.01), NAMES)
-    whole = Uncertainty(Estimates((), (), (), 8, 8), load_scatter=found)
+def test_a_model_keeps_and_tells_its_scatter():
+    result = scatter_of(balanced(np.random.default_rng(2).normal(0.0, 0.04, 8), 0.01), NAMES)
+    whole = Uncertainty(Estimates((), (), (), 8, 8), load_scatter=result)
     described = json.loads(json.dumps(asdict(whole)))
     assert TypeAdapter(Uncertainty).validate_python(described) == whole
     del described["load_scatter"]
     assert TypeAdapter(Uncertainty).validate_python(described).load_scatter is None
     summary = repr(replace(handmade.hitch(), uncertainty={LIFTING: whole}))
-    assert f"load: {found.sentence}" in " ".join(summary.split())
+    assert f"load: {result.sentence}" in " ".join(summary.split())
 
 
 def test_no_test_runs_backward_by_its_load():

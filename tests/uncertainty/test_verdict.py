@@ -50,7 +50,7 @@ def test_what_is_determined_needs_no_more_words(interval):
         (TIME, (0.001, 0.003), f"τ from 0.001 to 0.003 s at 95 %; {TOO_FAST}"),
     ],
 )
-def test_what_is_not_determined_says_what_fits_and_what_to_excite(parameter, interval, expected):
+def test_a_verdict_says_what_fits_and_what_to_excite(parameter, interval, expected):
     assert text_of(parameter, interval) == f"not determined: {expected}"
     assert TOO_FAST not in text_of(parameter, interval, step_s=0.001)
 
@@ -67,7 +67,7 @@ def test_what_the_sampling_can_show_is_not_called_too_fast(parameter, interval):
     assert TOO_FAST not in text_of(parameter, interval)
 
 
-def test_a_time_without_upper_end_is_not_too_fast_for_slow_samples():
+def test_a_time_without_end_is_not_too_fast():
     assert text_of(TIME, (50.0, None), step_s=4.0).endswith("excite below 0.0032 Hz")
 
 
@@ -85,6 +85,6 @@ def test_what_is_determined_instead_comes_first_and_nothing_is_advised(bound):
     assert text_of(TIME, (7.5, None), bound=bound, fallback_quantity="K/τ") == expected
 
 
-def test_what_is_determined_only_with_another_at_its_bound_says_so():
+def test_a_conditional_parameter_says_on_what():
     text = text_of(FREQUENCY, (10.0, 12.0), conditional_on=("ξh",))
     assert text == "determined only for ξh at its bound"

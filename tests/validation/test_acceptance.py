@@ -189,7 +189,7 @@ def test_every_limit_of_a_file_gets_a_verdict(read):
         *((f"lifting.worst_test.{key} = 0", rf"'lifting\.worst_test\.{key}'") for key in figures()),
     ],
 )
-def test_what_is_wrong_in_a_file_is_told_with_file_and_key(read, text, message):
+def test_a_wrong_file_is_refused_with_its_key(read, text, message):
     with pytest.raises(SettingsError, match=rf"limits\.toml: .*{message}"):
         read(f'unit = "mm"\n{text}')
 
@@ -209,9 +209,9 @@ def test_a_file_without_a_unit_or_toml_is_refused(read, text, message):
 
 
 def test_a_file_that_is_missing_or_a_folder_is_told(tmp_path):
-    for place in (tmp_path / "none.toml", tmp_path):
-        with pytest.raises(SettingsError, match=rf"{place.name}: cannot be read"):
-            read_limits(place)
+    for path in (tmp_path / "none.toml", tmp_path):
+        with pytest.raises(SettingsError, match=rf"{path.name}: cannot be read"):
+            read_limits(path)
 
 
 # Verdicts.
@@ -322,7 +322,7 @@ def test_what_is_missing_fails_and_is_named(mode, demanded, figure):
     assert (check.direction, check.figure, check.passed) == (mode, figure, False)
 
 
-def test_one_failed_check_fails_the_whole_and_all_is_told_as_json():
+def test_one_failed_check_fails_the_whole():
     outcome = check_limits(campaign(), limits_of(free_run={"rmse": 0.2, "mae": 0.4}))
     keys = ("mode", "name", "limit", "found", "passed")
     rows = (
@@ -395,7 +395,7 @@ def checked(figure, limit, key="rmse", unit="mm"):
     return only(metrics, limits_of(unit=unit, free_run={key: limit}))
 
 
-def test_a_figure_just_beyond_its_limit_is_told_with_digits_enough():
+def test_a_figure_just_beyond_has_enough_digits():
     check = checked(0.50004, 0.5)
     assert (check.figure, check.limit, check.passed) == ("0.50004 mm", "at most 0.5 mm", False)
     assert checked(0.50004, 0.6).figure == "0.500 mm"

@@ -50,7 +50,7 @@ def having_seen(model, *records):
     return replace(model, provenance=Provenance(seen=seen))
 
 
-def test_the_model_that_errs_less_on_every_test_is_found_on_either_side(campaign):
+def test_the_model_that_errs_less_is_found_either_side(campaign):
     for first, second, better in ((RIGHT, SLOW, "A"), (SLOW, RIGHT, "B")):
         compared = compare([first, second], campaign)
         assert compared.sections == (LIFTING, LOWERING)
@@ -63,7 +63,7 @@ def test_the_model_that_errs_less_on_every_test_is_found_on_either_side(campaign
         assert compared.metrics["better"] == {LIFTING: better, LOWERING: better}
 
 
-def test_two_tests_still_tell_which_model_errs_less_and_by_how_much(campaign):
+def test_two_tests_still_tell_which_model_errs_less(campaign):
     fast = scaled(RIGHT, {LIFTING: 1.5, LOWERING: 1.5})
     compared = compare([fast, RIGHT], Campaign.of(campaign.of_kind(LIFTING)[:2]))
     best, other = compared.leaderboard().section(LIFTING)
@@ -201,13 +201,13 @@ def test_what_cannot_be_compared_is_refused(campaign, models, names, message):
         compare(models, campaign, names)
 
 
-def test_what_is_said_of_one_model_alone_is_said_with_its_name(campaign):
+def test_notices_of_one_model_have_its_name(campaign):
     compared = compare([RIGHT, hitch_of(channel(LIFTING))], campaign)
     (notice,) = (notice for notice in compared.notices if "no lowering channel" in notice)
     assert notice.startswith("model B: ")
 
 
-def test_cycles_are_cut_alike_for_both_where_there_is_nothing_else(make_record):
+def test_cycles_alone_are_cut_alike_for_both(make_record):
     rng = np.random.default_rng(3)
     up, down = (np.concatenate([np.zeros(70), levels(rng, 330, low=0.5)]) for _ in range(2))
     records = []

@@ -43,8 +43,8 @@ def test_white_normal_errors_pass_all_tests_at_their_level():
         errors = [rng.normal(0.3, 2.0, n) for n in (300, 500)]
         tests.append(found_in(errors, [held_command(rng, e.size) for e in errors]))
     # At 1 % seven or more of 200 are rejected in 1 of 200 cases.
-    for each in ("white", "independent", "normal"):
-        assert np.mean([getattr(result, each) for result in tests]) >= 0.97
+    for name in ("white", "independent", "normal"):
+        assert np.mean([getattr(result, name) for result in tests]) >= 0.97
     outside = np.mean([np.abs(r.autocorrelation) > r.autocorrelation_bounds for r in tests])
     assert 0.005 < outside < 0.015
     assert tests[0].mean == pytest.approx(0.3, abs=4 * 2 / np.sqrt(800))
@@ -64,7 +64,7 @@ def test_first_order_errors_have_their_autocorrelation_and_are_not_white(phi):
     assert tests.whiteness_p < 1e-6
 
 
-def test_correlated_errors_that_do_not_know_the_command_are_found_independent():
+def test_correlated_errors_without_the_command_are_found_independent():
     results, naive = [], []
     for seed in range(SEEDS):
         rng = np.random.default_rng(seed)
@@ -80,7 +80,7 @@ def test_correlated_errors_that_do_not_know_the_command_are_found_independent():
 
 
 @pytest.mark.parametrize("lag", [3, -4, 0])
-def test_an_error_that_follows_the_command_is_found_at_its_lag(lag):
+def test_an_error_after_the_command_is_found_at_its_lag(lag):
     rng = np.random.default_rng(2)
     commands = [rng.choice([0.0, 50.0], n) for n in (400, 300)]
     errors = [0.1 * np.roll(u, lag) + rng.normal(0, 2.5, u.size) for u in commands]
@@ -89,8 +89,8 @@ def test_an_error_that_follows_the_command_is_found_at_its_lag(lag):
     assert lag in tests.lags_outside
     assert tests.cross_lags[int(np.argmax(np.abs(tests.cross_correlation)))] == lag
     # An error of deviation 2.5 from the command and as much noise.
-    place = tests.cross_lags.index(lag)
-    assert tests.cross_correlation[place] == pytest.approx(np.sqrt(0.5), abs=4 / np.sqrt(700))
+    index = tests.cross_lags.index(lag)
+    assert tests.cross_correlation[index] == pytest.approx(np.sqrt(0.5), abs=4 / np.sqrt(700))
     # A command without memory: the bounds are those of white errors, not widened by what was found.
     assert tests.cross_bounds[25] == pytest.approx(BOUND / np.sqrt(700), rel=0.15)
 
@@ -152,7 +152,7 @@ def test_errors_that_step_with_speed_are_explained_by_speed_alone():
         assert other.share < 25 / 1200
 
 
-def test_a_value_that_is_there_more_than_an_eighth_is_not_divided():
+def test_a_frequent_value_is_not_divided():
     command = np.concatenate([np.zeros(500), np.arange(1.0, 501.0)])
     bins = found_in([np.sin(np.arange(1000.0))], [command]).by_command.bins
     assert [(b.lower, b.upper, b.count) for b in bins] == [
@@ -235,9 +235,9 @@ def made_up_tests(draw):
 
 
 @given(made_up_tests())
-def test_the_order_of_tests_does_not_matter_and_bins_hold_every_error(made_up):
+def test_bins_hold_every_error_in_any_order(made_up):
     here = residual_tests(*made_up, step_s=STEP_S)
-    there = residual_tests(*[each[::-1] for each in made_up], step_s=STEP_S)
+    there = residual_tests(*[name[::-1] for name in made_up], step_s=STEP_S)
     for name in ("whiteness_p", "independence_p", "normality_p"):
         assert getattr(there, name) == pytest.approx(getattr(here, name), rel=1e-8, abs=1e-9)
     for group in (here.by_position, here.by_speed, here.by_command):

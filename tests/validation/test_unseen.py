@@ -52,7 +52,7 @@ def cycles(make_record):
     return records
 
 
-def test_a_held_out_log_changes_nothing_and_is_validated_on_alone(cycles, tmp_path):
+def test_a_held_out_log_changes_nothing_but_the_validation(cycles, tmp_path):
     for name, records in (("one", cycles), ("two", [*cycles[:3], spoilt(cycles[3])])):
         identify(Campaign.of(records), **QUICK).save(tmp_path / name)
     for file in ("weights.safetensors", "rivals.safetensors", "trace.json", "model.json"):

@@ -114,7 +114,7 @@ def measuring(record):
     return replace(record, signals=signals, units={**record.units, "pressure": "bar"})
 
 
-def test_a_test_that_lacks_a_covariate_of_its_direction_is_left_out(tests_of):
+def test_a_test_that_lacks_a_covariate_is_left_out(tests_of):
     model = hitch_of(channel(LIFTING, shape=True), channel(LOWERING))
     (bare, *others), lowering = tests_of(), tests_of(LOWERING)
     complete = [*map(measuring, others), *lowering]
@@ -137,7 +137,7 @@ def test_a_test_that_lacks_a_covariate_of_its_direction_is_left_out(tests_of):
 
 
 @pytest.mark.parametrize("mode", [LIFTING, LOWERING])
-def test_the_benchmark_is_judged_in_free_run_and_from_the_last_measurement(tests_of, mode):
+def test_the_benchmark_runs_freely_and_from_the_last_measurement(tests_of, mode):
     records = tests_of(mode)
     channel = validate(MODELS, Campaign.of(records)).metrics["channels"][mode]
     measured = [record.displacement for record in records]
@@ -152,7 +152,7 @@ def test_the_benchmark_is_judged_in_free_run_and_from_the_last_measurement(tests
         assert found == pytest.approx(by_hand([y[step:] for y in measured], anchored)["rmse"], rel=1e-9)
 
 
-def test_the_grey_box_is_judged_by_what_it_gives_for_each_test(judged):
+def test_the_grey_box_is_judged_by_what_it_gives(judged):
     records, _, result = judged
     channel = result.metrics["channels"][LIFTING]
     measured = [record.displacement for record in records]
@@ -179,7 +179,7 @@ def test_the_grey_box_is_judged_by_what_it_gives_for_each_test(judged):
     assert not {"bands", "parameters"} & channel.keys()
 
 
-def test_tests_of_the_identification_are_never_evaluated_whatever_they_are_called(tests_of):
+def test_tests_of_the_identification_are_never_evaluated(tests_of):
     records = tests_of()
     seen = frozenset(record.fingerprint for record in records[:2])
     model = hitch(compensated=True, baselines=True, provenance=Provenance(seen=seen))
@@ -217,7 +217,7 @@ def test_figures_are_in_the_unit_of_the_log(judged):
     )
 
 
-def test_errors_of_the_searches_are_in_the_unit_of_the_log_too(tests_of):
+def test_errors_of_searches_are_in_the_logs_unit(tests_of):
     search = SearchSummary("whale", (10.0,), (3,), (1,), (None, 20.0, 10.0), ((1.0,),) * 3)
     compared = {LIFTING: replace(MODELS.rivals[LIFTING], searches=(search,))}
     uncertainty = with_bands(MODELS, LIFTING).uncertainty
@@ -259,9 +259,7 @@ def test_cycles_are_judged_apart_in_free_run_and_over_horizons(judged):
 
 
 @pytest.mark.parametrize(("brief", "jump"), [(50, 0.0), (1, 0.01 * (30 * 0.15 + 20 * 0.25))])
-def test_the_largest_jump_is_a_step_at_a_change_unlike_both_its_neighbours(
-    tests_of, make_record, brief, jump
-):
+def test_a_jump_is_a_step_unlike_both_its_neighbours(tests_of, make_record, brief, jump):
     lifting = np.concatenate(
         [np.zeros(50), np.full(50, 0.5), np.zeros(brief), np.full(50, 0.5), np.zeros(50)]
     )
@@ -292,7 +290,7 @@ def test_the_tables_name_every_model_and_every_test(judged, tests_of):
     assert set(NAMES) == baselines | {"benchmark", "greybox"}
 
 
-def test_over_a_horizon_every_model_has_as_many_figures_as_there_are_horizons(judged):
+def test_every_model_has_a_figure_for_every_horizon(judged):
     channel = judged[2].metrics["channels"][LIFTING]
     horizons = channel["horizons"]
     assert set(horizons) == {"steps", *NAMES}
@@ -306,7 +304,7 @@ def test_over_a_horizon_every_model_has_as_many_figures_as_there_are_horizons(ju
 
 
 @pytest.mark.parametrize("name", ["arx", "narx"])
-def test_an_autoregression_is_iterated_over_a_horizon_from_what_was_measured(judged, name):
+def test_an_autoregression_is_iterated_from_what_was_measured(judged, name):
     records, _, result = judged
     channel = result.metrics["channels"][LIFTING]
     measured = [record.displacement for record in records]
@@ -351,7 +349,7 @@ def one_way(record):
     return replace(record, signals=signals)
 
 
-def test_a_model_that_is_the_papers_stands_for_the_papers_method(tests_of):
+def test_a_model_may_stand_for_the_papers_method(tests_of):
     compared = {mode: replace(each, paper=None) for mode, each in MODELS.rivals.items()}
     model = replace(MODELS, rivals=compared)
     channel = validate(model, Campaign.of(tests_of())).metrics["channels"][LIFTING]
@@ -360,7 +358,7 @@ def test_a_model_that_is_the_papers_stands_for_the_papers_method(tests_of):
 
 
 @pytest.mark.parametrize(("ends", "outside"), [((0.0, 2.0), 0), ((0.0, 0.2), 1)], ids=["wide", "narrow"])
-def test_it_is_said_which_tests_are_left_out_or_leave_the_range(tests_of, ends, outside):
+def test_tests_left_out_or_beyond_the_range_are_named(tests_of, ends, outside):
     covered = envelope(displacement=(-1e3, 1e3), command=ends)
     model = hitch(modes=(LIFTING,), free_run=False, covered=covered)
     result = validate(model, Campaign.of([*tests_of(), *tests_of(LOWERING)]))
@@ -371,7 +369,7 @@ def test_it_is_said_which_tests_are_left_out_or_leave_the_range(tests_of, ends, 
 
 
 @pytest.mark.filterwarnings("ignore:overflow:RuntimeWarning")
-def test_what_diverges_is_null_in_the_figures_and_said_in_the_tables(tests_of, tmp_path):
+def test_what_diverges_is_null_and_said_in_the_tables(tests_of, tmp_path):
     wild = eqx.tree_at(
         lambda c: c.benchmark.values,
         MODELS.channels[LIFTING],

@@ -23,6 +23,7 @@ from hitchid.identification.config import (
 )
 from hitchid.identification.identify import identify_many
 from hitchid.identification.phase2 import CompensatorConfig
+from hitchid.identification.result import Identification
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.record import CYCLE, Record
 from hitchid.model import Hitch
