@@ -99,14 +99,7 @@ INCREMENT_BLOCKS = (2, 8)
 
 
 class Sections(NamedTuple):
-    """Free runs of B tests in K blocks of M steps, scaled.
-
-    Attributes:
-        inputs: of the network, shape [K, B, I].
-        start: position before motion, shape [B].
-        position: measured position at the end of each step, shape [K, B, M].
-        increment_scale: factor on the network's increments, shape [].
-    """
+    """Free runs of B tests in K blocks of M steps, scaled; positions are measured at the end of each step."""
 
     inputs: Float32[Array, "k b i"]
     start: Float32[Array, " b"]
@@ -207,10 +200,8 @@ MAX_BLOCKS, STEPS = 64, 8  # blocks of the longest test, steps in a block; chose
 class BlockSignals(NamedTuple):
     """Signals of T tests in K blocks of M steps.
 
-    Attributes:
-        commands: mean of the command as logged and of the effective command, shape [K, T, M, 2].
-        travel: travel at the end of each step, shape [K, T, M].
-        mask: which of those errors are taken over, shape [K, T, M].
+    Means of the command as logged and of the effective one, shape [K, T, M, 2]; travel at the end of each
+    step and which of those errors are taken over, shape [K, T, M].
     """
 
     commands: np.ndarray

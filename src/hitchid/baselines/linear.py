@@ -91,13 +91,7 @@ def covariate_scaling(batch: Batch) -> tuple[np.ndarray, np.ndarray]:
 
 
 class UnpaddedTest(NamedTuple):
-    """One test from rest, without padding.
-
-    Attributes:
-        inputs: shape [m, N].
-        travel: displacement relative to the start, shape [N].
-        loss_mask: samples that errors are taken over, shape [N].
-    """
+    """One test from rest, unpadded: inputs, shape [m, N], travel and the samples that count, shape [N]."""
 
     inputs: np.ndarray
     travel: np.ndarray

@@ -94,15 +94,7 @@ def correlations_applicable(batch: Batch) -> bool:
 
 
 class CorrelationObjective(eqx.Module):
-    """J of a linear model over tests, at the same cost for any number of them; see `Correlations`.
-
-    Attributes:
-        correlations: of the tests.
-        spec: model specification.
-        scales: scales of the nonlinearities.
-        bounds: of its parameters.
-        step_s: sampling time, s.
-    """
+    """J of a linear model over tests, at the same cost for any number of them; see `Correlations`."""
 
     correlations: Correlations
     spec: ModelSpec = eqx.field(static=True)

@@ -259,13 +259,7 @@ def traced(fitness: _Fitness) -> _Fitness:
 
 
 class TestEquations(NamedTuple):
-    """The sum of squared residuals of each test at a position, to second order as Gauss and Newton have it.
-
-    Attributes:
-        costs: ‖r‖², shape [T].
-        gradients: Jᵀ r, shape [T, D].
-        curvatures: Jᵀ J, shape [T, D, D].
-    """
+    """‖r‖², Jᵀ r and Jᵀ J of each test at a position: squares to second order, as Gauss and Newton do."""
 
     costs: Float[np.ndarray, " t"]
     gradients: Float[np.ndarray, "t d"]

@@ -64,14 +64,9 @@ class WhaleConfig:
 
 
 class WhaleState(eqx.Module):
-    """The swarm between two generations.
+    """The swarm between two generations; the best fitness is +inf while none was finite.
 
-    Attributes:
-        population: positions in the unit cube, shape [P, D].
-        best: position of the best whale so far, shape [D].
-        best_fitness: its fitness, +inf while none was finite, shape [].
-        generation: generations evaluated so far, shape [].
-        improved: the generation that last improved by more than the tolerance, shape [].
+    `improved` is the generation that last improved by more than the tolerance.
     """
 
     population: Float[Array, "p d"]
@@ -84,11 +79,7 @@ class WhaleState(eqx.Module):
 class WhaleTrace(eqx.Module):
     """The whole search, one row a generation; rows past `generations` are unused and hold +inf.
 
-    Attributes:
-        best_fitness: best fitness so far, shape [G].
-        best: its position in the unit cube, shape [G, D].
-        fitness: fitness of every whale, +inf for a failed simulation, shape [G, P].
-        failures: whales whose objective was not finite, shape [G].
+    The fitness of every whale is +inf for a failed simulation; `best` is in the unit cube.
     """
 
     best_fitness: Float[Array, " g"]
@@ -98,15 +89,7 @@ class WhaleTrace(eqx.Module):
 
 
 class WhaleResult(eqx.Module):
-    """Result of a search.
-
-    Attributes:
-        best: best position in the unit cube, shape [D].
-        best_fitness: its fitness, shape [].
-        generations: generations evaluated, shape [].
-        stagnated: whether stagnation ended the search, shape [].
-        trace: the whole search.
-    """
+    """Result of a search: the best position in the unit cube, and whether stagnation ended the search."""
 
     best: Float[Array, " d"]
     best_fitness: Float[Array, ""]
@@ -130,12 +113,7 @@ def init(rng: np.random.Generator, dimensions: int, config: WhaleConfig) -> Whal
 class WhaleDraws(NamedTuple):
     """Random numbers of moves, those of generations along a first axis; K is D, or one for all coordinates.
 
-    Attributes:
-        a: of A, from −1 to 1, shape [..., P, K].
-        c: C, from 0 to 2, shape [..., P, K].
-        spirals: whether a whale spirals, shape [..., P, K].
-        spiral_parameter: l, from −1 to 1, shape [..., P, K].
-        member: which member is X_r, shape [..., P].
+    A is drawn from −1 to 1, C from 0 to 2, l from −1 to 1; `member` is which whale X_r is.
     """
 
     a: Float[Array, "*g p k"]

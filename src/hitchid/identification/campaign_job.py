@@ -84,13 +84,8 @@ ChannelResults = Mapping[str, tuple[Channel, ChannelTrace]]
 class CampaignJob:
     """A campaign prepared for identification.
 
-    Attributes:
-        campaign: tests of one direction each; where there were none, strokes cut from mixed logs.
-        config: configuration of the identification.
-        cycles: the mixed logs that the strokes were cut from.
-        segmentation_dead_zones: direction to the dead zone at which strokes were cut.
-        fingerprints: fingerprints of all records that are used.
-        channel_data, channel_configs: direction to its tests and to its settings.
+    Where no test is of one direction, its tests are strokes cut from the mixed logs `cycles` at the dead
+    zones of the segmentation. Fingerprints are those of all records that are used.
     """
 
     campaign: Campaign

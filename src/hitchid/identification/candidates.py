@@ -199,12 +199,7 @@ def _significantly_worse(errors: np.ndarray, other_errors: np.ndarray) -> bool:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Optimum of a candidate and its errors.
-
-    Attributes:
-        positions: all parameters of the objective in the unit cube, free and fixed, shape [D].
-        rmse, held_out, held_out_per_test_gain, fold: as in `Candidate`.
-    """
+    """Optimum of a candidate, free and fixed positions in the unit cube, and its errors; see `Candidate`."""
 
     positions: np.ndarray
     rmse: float

@@ -78,15 +78,9 @@ class RivalsConfig:
 
 @dataclass(frozen=True)
 class ChannelConfig:
-    """Settings of the identification of one direction.
+    """Settings of the identification of one direction; see `identify`.
 
-    Attributes:
-        spec: model specification of the benchmark, or its automatic choice.
-        paper_spec: model specification of the paper's method, fitted for comparison.
-        search, training, seed: see `identify`.
-        units: `x` and `u` to the units of displacement and command.
-        quick_rivals: whether the rivals that cost little are fitted.
-        checkpoints: store of finished partial results.
+    `paper_spec` is fitted for comparison, `units` are those of displacement `x` and command `u`.
     """
 
     spec: ModelSpec | AutoStructure

@@ -171,12 +171,7 @@ class CrossValidation(Summarised):
 
 @dataclass(frozen=True)
 class Fold:
-    """One division of a campaign.
-
-    Attributes:
-        training: everything but the held-out tests, of which no other copy is in it; nothing is held out.
-        held_out: the held-out tests alone.
-    """
+    """One division: the held-out tests alone, and all but them and their copies, none of it held out."""
 
     training: Campaign
     held_out: Campaign

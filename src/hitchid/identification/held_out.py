@@ -27,12 +27,7 @@ def folds_of(tests: int) -> list[Bool[np.ndarray, " t"]]:
 
 
 class HeldOut(NamedTuple):
-    """Tests, and the channel that was fitted without them.
-
-    Attributes:
-        tests: which tests are held out, shape [T].
-        channel: fitted to the other tests.
-    """
+    """A mask of tests, and the channel that was fitted to the others."""
 
     tests: Bool[np.ndarray, " t"]
     channel: Channel

@@ -220,10 +220,7 @@ Tree = TypeVar("Tree")
 class CompensatorTraining(NamedTuple):
     """How the compensator for predictions of a channel was trained.
 
-    Attributes:
-        settings: size and optimiser.
-        epochs: number of epochs after which its weights were kept.
-        key: initial weights and shuffling.
+    `epochs` is the number after which its weights were kept, `key` of initial weights and shuffling.
     """
 
     settings: CompensatorConfig

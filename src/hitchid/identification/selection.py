@@ -140,14 +140,7 @@ def covariate_candidates(
 
 @dataclass(frozen=True)
 class _Choice:
-    """Data and settings shared by all steps of one choice.
-
-    Attributes:
-        batch, coarse: identification tests, and the same at a longer sampling time.
-        folds: tests that are held out together.
-        search, seed, units, checkpoints: as for `choose_spec`.
-        parts: progress of each part of the choice.
-    """
+    """Data and settings shared by all steps of one choice; `folds` are tests that are held out together."""
 
     batch: Batch
     coarse: Batch

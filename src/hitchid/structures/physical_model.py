@@ -214,14 +214,7 @@ _discretised, _discretised_along_stroke = map(eqx.filter_jit, (discretise, discr
 
 
 class _TestState(NamedTuple):
-    """State of T tests at one sample.
-
-    Attributes:
-        spool: of the valve.
-        flow: through it over the sample before, shape [T].
-        plant: of the linear model, shape [n, T].
-        travel: shape [T].
-    """
+    """State of T tests at one sample: spool, flow over the sample before, linear model, travel."""
 
     spool: PlayState
     flow: Float[Array, " t"]

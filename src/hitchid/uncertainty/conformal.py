@@ -118,9 +118,7 @@ TINY = np.finfo(np.float64).tiny  # smallest variance, so that its logarithm is 
 class HeldOutErrors(NamedTuple):
     """Errors of predictions over one horizon, one array of shape [N_i] for each held-out test.
 
-    Attributes:
-        errors: measured minus predicted, in the displacement's unit.
-        movements: predicted displacement minus the last measured one, in the displacement's unit.
+    Measured minus predicted, and the movement: predicted minus the last measured displacement, in its unit.
     """
 
     errors: Sequence[np.ndarray]

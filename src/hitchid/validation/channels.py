@@ -105,13 +105,8 @@ def _mean_share(shares: np.ndarray) -> tuple[float, float | None]:
 class _ModelRuns(NamedTuple):
     """Predictions of a channel and its baselines, in the model's unit, rows of shape [T, N].
 
-    Attributes:
-        batch: the tests.
-        steps: horizons, in samples.
-        benchmark, free_run: free runs of the benchmark and of the grey box.
-        multi_step: model to its predictions, one entry per horizon; models without a predictor simulate from
-            the last measured displacement.
-        baselines: the baselines, by name.
+    `multi_step` has one entry per horizon, in samples; models without a predictor simulate from the last
+    measured displacement.
     """
 
     batch: Batch
