@@ -210,7 +210,8 @@ def _travel_by_load(physical_model: PhysicalModel, batch: Batch) -> Float[Array,
     return batch.map_tests(travel, batch.load(physical_model.covariates))[:, 0]
 
 
-_discretised, _discretised_along_stroke = map(eqx.filter_jit, (discretise, discretise_along_stroke))
+_discretised = eqx.filter_jit(discretise)
+_discretised_along_stroke = eqx.filter_jit(discretise_along_stroke)
 
 
 class _TestState(NamedTuple):

@@ -1,6 +1,6 @@
 """Speed map, delay and response time of a fitted model, with 95 % intervals."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -190,7 +190,7 @@ def _varied_load(physical_model: PhysicalModel, batch: Batch) -> tuple[str | Non
 
 def _speed_map_grid(
     physical_model: PhysicalModel, levels: np.ndarray, load_name: str | None, test_loads: np.ndarray | None
-) -> tuple[np.ndarray, list[float | None], np.ndarray]:
+) -> tuple[np.ndarray, Sequence[float | None], np.ndarray]:
     """Return command, load and all covariates of each point, levels by loads; the others have their mean."""
     loads = np.zeros(1) if test_loads is None else operating_loads(test_loads)
     commands, grid_loads = (grid.ravel() for grid in np.meshgrid(levels, loads, indexing="ij"))

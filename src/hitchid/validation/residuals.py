@@ -131,7 +131,7 @@ def residual_tests(
     max_lag = min(lags, int(np.sum(pairs >= int(size.sum()) / 2)) - 1)
     error, mean, deviation = _standardised(tests["errors"])
     command, _, _ = _standardised(tests["commands"])
-    autocorrelations = [_products(signal, signal)[size.max() - 1 :] / pairs for signal in (error, command)]
+    of_errors, of_command = (_products(row, row)[size.max() - 1 :] / pairs for row in (error, command))
     lag = np.arange(-max_lag, max_lag + 1)
     cross = _products(error, command)[size.max() - 1 + lag] / pairs[np.abs(lag)]
     pooled = np.concatenate(error)
@@ -141,9 +141,9 @@ def residual_tests(
         count=int(size.sum()),
         mean=mean,
         deviation=deviation,
-        **_whiteness(autocorrelations[0], pairs, max_lag),
-        **_independence(cross, lag, *autocorrelations, pairs),
-        **_normality(pooled, autocorrelations[0], pairs, is_constant=not deviation),
+        **_whiteness(of_errors, pairs, max_lag),
+        **_independence(cross, lag, of_errors, of_command, pairs),
+        **_normality(pooled, of_errors, pairs, is_constant=not deviation),
         by_position=_binned(flat["errors"], pooled, flat["displacements"]),
         by_speed=_binned(flat["errors"], pooled, flat["speeds"]),
         by_command=_binned(flat["errors"], pooled, flat["commands"]),
