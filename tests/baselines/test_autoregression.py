@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from plants import linear_plant
 
 from hitchid.baselines.linear import Arx, LinearInputs, UnpaddedTest, predict_ahead
 from hitchid.baselines.narx import Narx
@@ -11,47 +12,31 @@ SAMPLES = 120
 SCALING = LinearInputs(*map(np.asarray, ([0.0], [1.0], 0.0, 1.0)))
 
 
-def recursion(command, past=PAST, weights=COMMAND):
-    """Return w(k) = Σ aᵢ w(k−i) + Σ bᵢ u(k−i) from rest, shape [N]."""
-    travel = []
-    for k in range(len(command)):
-        known = sum(past[i] * travel[k - 1 - i] for i in range(len(past)) if k - 1 - i >= 0)
-        driven = sum(weights[i] * command[k - 1 - i] for i in range(len(weights)) if k - 1 - i >= 0)
-        travel.append(known + driven)
-    return np.array(travel)
-
-
 @pytest.fixture
 def tests():
     rng = np.random.default_rng(0)
     commands = [rng.normal(size=size) for size in (SAMPLES, SAMPLES // 2)]
     return [
-        UnpaddedTest(command[None], recursion(command), np.ones(command.size, dtype=bool))
+        UnpaddedTest(command[None], linear_plant(command, PAST, COMMAND), np.ones(command.size, dtype=bool))
         for command in commands
     ]
 
 
-def test_arx_is_found_again_from_tests_without_noise(tests):
-    found = Arx.fit(SCALING, tests, 3)
-    np.testing.assert_allclose(found.past, PAST, rtol=1e-10)
-    np.testing.assert_allclose(found.gains[0], COMMAND, rtol=1e-10)
-
-
-def test_arx_is_not_fitted_to_samples_that_do_not_count(tests):
+def test_arx_is_found_again_from_samples_that_count(tests):
     spoilt = []
     for inputs, travel, counted in tests:
         late = np.arange(travel.size) >= 40
         spoilt.append(UnpaddedTest(inputs, np.where(late, 1e3, travel), counted & ~late))
-    found = Arx.fit(SCALING, spoilt, 3)
-    np.testing.assert_allclose(found.past, PAST, rtol=1e-10)
-    np.testing.assert_allclose(found.gains[0], COMMAND, rtol=1e-10)
+    for model in (Arx.fit(SCALING, tests, 3), Arx.fit(SCALING, spoilt, 3)):
+        np.testing.assert_allclose(model.past, PAST, rtol=1e-10)
+        np.testing.assert_allclose(model.gains[0], COMMAND, rtol=1e-10)
 
 
-@pytest.mark.parametrize("order", [1, 2, 3])
+@pytest.mark.parametrize("order", [1, 3])
 def test_free_run_of_arx_is_the_recursion(tests, order):
     model = Arx(SCALING, PAST[:order] / 2, COMMAND[None, :order])
     command = tests[0].inputs[0]
-    expected = recursion(command, PAST[:order] / 2, COMMAND[:order])
+    expected = linear_plant(command, PAST[:order] / 2, COMMAND[:order])
     # A stable recursion adds at most six rounded products a step.
     np.testing.assert_allclose(model.simulate(command[None]), expected, atol=1e-13)
 
@@ -97,7 +82,7 @@ def test_from_the_first_sample_any_horizon_is_the_free_run(model, measured):
 
 
 @every_autoregression
-def test_between_them_it_is_the_recursion_from_what_was_measured_up_to_the_horizon_before(model, measured):
+def test_predictions_are_the_recursion_from_what_was_measured(model, measured):
     inputs, travel = inputs_of(model, measured[0]), measured[1]
     rows = predict_ahead(model, inputs, travel, [2, 7])
     for horizon, row in zip((2, 7), rows, strict=True):

@@ -18,10 +18,6 @@ def commands():
     return [np.repeat(rng.uniform(0, 1, 30), 10) for _ in range(8)]
 
 
-def free_run_rmse(model, batch, truth):
-    return float(np.sqrt(np.mean((model.free_run(batch) - truth) ** 2)))
-
-
 def test_oe_is_found_again_behind_noise_at_the_output(commands):
     rng = np.random.default_rng(1)
     travels = [linear_plant(command, PAST, COMMAND) for command in commands]
@@ -30,9 +26,9 @@ def test_oe_is_found_again_behind_noise_at_the_output(commands):
     unseen = np.repeat(rng.uniform(0, 1, 30), 10)
     travel = linear_plant(unseen, PAST, COMMAND)
     batch = batch_of([unseen], [travel])
-    oe = free_run_rmse(OutputErrorBaseline().fit(tests, context()), batch, travel)
+    free_run = OutputErrorBaseline().fit(tests, context()).free_run(batch)
     # 8 tests of 300 samples give some ten parameters: the noise of a fit is σ √(10 / 2400) = 0.065 σ.
-    assert oe < 3 * 0.065 * NOISE_MM
+    assert np.sqrt(np.mean((free_run - travel) ** 2)) < 3 * 0.065 * NOISE_MM
 
 
 def test_the_fit_uses_the_validation_tests_too(commands):

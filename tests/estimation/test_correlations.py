@@ -57,10 +57,9 @@ def errors(misfit, positions):
     return np.asarray(evaluated(problem.fitness, positions)), np.asarray(evaluated(misfit, positions))
 
 
-@pytest.mark.parametrize("dead_time", [False, True])
-@pytest.mark.parametrize("structure", LINEAR, ids=lambda each: each.name)
-def test_error_is_that_of_simulating_every_test(campaign, structure, dead_time):
-    misfit = Objective.of(campaign(5), ModelSpec(structure, dead_time=dead_time))
+@pytest.mark.parametrize("structure", LINEAR, ids=lambda structure: structure.name)
+def test_error_is_that_of_simulating_every_test(campaign, structure):
+    misfit = Objective.of(campaign(5), ModelSpec(structure, dead_time=True))
     positions = jnp.asarray(np.random.default_rng(1).random((40, len(misfit.spec.parameters))))
     collected, simulated = errors(misfit, positions)
     np.testing.assert_allclose(collected, simulated, rtol=RELATIVE)
@@ -68,7 +67,7 @@ def test_error_is_that_of_simulating_every_test(campaign, structure, dead_time):
 
 @settings(max_examples=15)
 @given(seed=st.integers(0, 2**32 - 1), direction=st.sampled_from([1, -1]), stop=st.booleans())
-def test_tests_end_where_the_piston_stops_and_folds_leave_tests_out(campaign, seed, direction, stop):
+def test_end_stops_and_folds_leave_samples_out(campaign, seed, direction, stop):
     batch = campaign(6, seed=seed, direction=direction, end_stop=12.0 if stop else None)
     rng = np.random.default_rng(seed)
     kept = rng.random(6) < 0.7
@@ -77,16 +76,6 @@ def test_tests_end_where_the_piston_stops_and_folds_leave_tests_out(campaign, se
     misfit = Objective.of(batch, ModelSpec(structure_named("integrator-second-order")))
     misfit = misfit.with_data(batch.masked(jnp.asarray(np.broadcast_to(kept[:, None], shape))))
     collected, simulated = errors(misfit, jnp.asarray(rng.random((10, 3))))
-    np.testing.assert_allclose(collected, simulated, rtol=RELATIVE)
-
-
-def test_error_at_the_truth_is_noise_that_does_not_drown_in_the_way_gone(campaign):
-    batch = campaign(4, noise=1e-3)
-    misfit = Objective.of(batch, ModelSpec(structure_named("integrator-second-order")))
-    truth = misfit.position(np.array([20.0, 9.0, 0.5]))
-    collected, simulated = errors(misfit, jnp.asarray(truth)[None])
-    # The mean before motion, which is taken as the start, errs by the noise of one sample at most.
-    assert simulated[0] < 3e-3
     np.testing.assert_allclose(collected, simulated, rtol=RELATIVE)
 
 
@@ -102,8 +91,7 @@ def test_many_tests_collect_to_what_few_do(campaign):
     np.testing.assert_allclose(often, once, rtol=RELATIVE)
 
 
-@pytest.mark.parametrize("dead_time_s", [0.0, 0.003, 0.01, 0.147, 3.1])
-@pytest.mark.parametrize("samples", [2, 37, 256])
+@pytest.mark.parametrize(("samples", "dead_time_s"), [(2, 0.003), (37, 0.0), (256, 0.147), (256, 3.1)])
 def test_pulse_response_is_the_simulated_answer_to_one_sample(samples, dead_time_s):
     structure = structure_named("integrator-second-order")
     model = discretise(structure, jnp.array([20.0, 9.0, 0.3]), dead_time_s, STEP_S)
@@ -114,21 +102,14 @@ def test_pulse_response_is_the_simulated_answer_to_one_sample(samples, dead_time
     np.testing.assert_allclose(pulse_response(model, samples), expected, atol=bound, rtol=0)
 
 
-def test_samples_that_count_after_others_that_do_not_are_simulated(campaign):
-    batch = campaign(4)
-    holes = jnp.asarray(np.arange(batch.loss_mask.shape[1]) % 7 != 3)[None]
-    misfit = Objective.of(batch.masked(holes), ModelSpec(structure_named("integrator")))
-    assert isinstance(search_problem(misfit).fitness, Objective)
-
-
-def test_curves_and_few_long_tests_are_simulated(campaign):
+def test_curves_holes_and_few_long_tests_are_simulated(campaign):
     structure = structure_named("integrator-second-order")
     curved = Objective.of(campaign(4), ModelSpec(structure, valve_curve=True))
     assert isinstance(search_problem(curved).fitness, Objective)
-    assert not correlations_applicable(
-        campaign(2, samples=(2 * MAX_SAMPLES_PER_TEST + 1, 2 * MAX_SAMPLES_PER_TEST + 2))
-    )
-    assert correlations_applicable(
-        campaign(4, samples=(2 * MAX_SAMPLES_PER_TEST + 1, 2 * MAX_SAMPLES_PER_TEST + 2))
-    )
-    assert 2 * MAX_SAMPLES_PER_TEST + 2 < MAX_SAMPLES
+    longest = 2 * MAX_SAMPLES_PER_TEST + 1
+    assert longest + 1 < MAX_SAMPLES
+    assert not correlations_applicable(campaign(2, samples=(longest, longest + 1)))
+    assert correlations_applicable(campaign(4, samples=(longest, longest + 1)))
+    # Samples that count after others that do not.
+    holes = jnp.asarray(np.arange(curved.batch.loss_mask.shape[1]) % 7 != 3)[None]
+    assert not correlations_applicable(curved.batch.masked(holes))

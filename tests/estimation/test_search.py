@@ -59,9 +59,9 @@ class Counter:
 
     def run(self, search, seed=0):
         COUNTING[:] = [self]
-        found = search.minimise(self.problem(), seed)
+        result = search.minimise(self.problem(), seed)
         jax.effects_barrier()
-        return found
+        return result
 
 
 COUNTING: list[Counter] = []
@@ -96,17 +96,19 @@ every_search = pytest.mark.parametrize("search", [whale, evolution, starts])
 
 @every_search
 def test_the_minimum_of_a_shifted_quadratic_is_found(search):
-    found = Counter().run(search(1500))
+    result = Counter().run(search(1500))
     # Random search comes within 1500^(-1/3) = 0.09; a tenth of that is 1000 times its budget.
-    assert np.abs(found.best - OPTIMUM).max() <= 0.009
-    assert HEIGHT * (1 - 1e-12) <= found.best_fitness <= HEIGHT + 0.009 * np.linalg.norm(ROWS)
+    assert np.abs(result.best - OPTIMUM).max() <= 0.009
+    assert HEIGHT * (1 - 1e-12) <= result.best_fitness <= HEIGHT + 0.009 * np.linalg.norm(ROWS)
 
 
 @every_search
-@pytest.mark.parametrize("evaluations", [40, 100, 333])
-def test_no_more_is_simulated_than_the_budget_and_one_local_round(search, evaluations):
+@pytest.mark.parametrize("evaluations", [40, 333])
+def test_no_more_is_simulated_than_the_budget_allows(search, evaluations):
     counter = Counter()
-    counter.run(search(evaluations))
+    result = counter.run(search(evaluations))
+    assert result.evaluations == counter.simulated
+    assert "maximum number of evaluations" in result.reason
     assert counter.simulated <= evaluations + 1 + 3
     # Nor is it left lying about: what remains would not pay for another generation or start.
     assert counter.simulated >= evaluations - 20
@@ -118,21 +120,15 @@ def test_a_budget_of_less_than_two_generations_is_refused():
 
 
 @every_search
-def test_as_many_simulations_are_reported_as_were_run(search):
-    counter = Counter()
-    assert counter.run(search(333)).evaluations == counter.simulated
-
-
-@every_search
-def test_the_trace_shows_the_best_so_far_and_where_it_lay(search):
-    found = Counter().run(search(333))
-    assert found.fitness_trace.shape == found.best_trace.shape[:1]
-    assert np.all(np.diff(found.fitness_trace) <= 0)
-    assert found.fitness_trace[-1] == found.best_fitness
-    np.testing.assert_array_equal(found.best_trace[-1], found.best)
-    heights = np.sqrt(np.mean(shifted_quadratic(found.best_trace) ** 2, axis=1))
-    np.testing.assert_allclose(found.fitness_trace, heights, rtol=1e-12)
-    assert np.all((found.best_trace >= 0) & (found.best_trace <= 1))
+def test_the_trace_shows_the_best_so_far(search):
+    result = Counter().run(search(333))
+    assert result.fitness_trace.shape == result.best_trace.shape[:1]
+    assert np.all(np.diff(result.fitness_trace) <= 0)
+    assert result.fitness_trace[-1] == result.best_fitness
+    np.testing.assert_array_equal(result.best_trace[-1], result.best)
+    heights = np.sqrt(np.mean(shifted_quadratic(result.best_trace) ** 2, axis=1))
+    np.testing.assert_allclose(result.fitness_trace, heights, rtol=1e-12)
+    assert np.all((result.best_trace >= 0) & (result.best_trace <= 1))
 
 
 @every_search
@@ -148,37 +144,24 @@ def test_one_seed_gives_one_search_and_another_seed_another(search):
 
 
 @every_search
-def test_where_everything_fails_the_search_says_so(search):
-    counter = Counter(fails_beyond=-1.0)
-    with pytest.raises(FitError, match="all failed"):
-        counter.run(search(100))
-
-
-@every_search
-def test_failures_in_half_of_the_cube_are_counted_and_do_not_keep_it_from_the_minimum(search):
+def test_failures_are_counted_and_do_not_hide_the_minimum(search):
     counter = Counter(fails_beyond=0.5)
-    found = counter.run(search(1500))
-    assert np.abs(found.best - OPTIMUM).max() <= 0.009
+    result = counter.run(search(1500))
+    assert np.abs(result.best - OPTIMUM).max() <= 0.009
     assert counter.failed > 0
-    assert found.failures == counter.failed
+    assert result.failures == counter.failed
+    with pytest.raises(FitError, match="all failed"):
+        Counter(fails_beyond=-1.0).run(search(100))
 
 
-@every_search
-def test_the_reason_says_that_the_budget_was_spent(search):
-    assert "maximum number of evaluations" in Counter().run(search(100)).reason
-
-
-def test_stagnation_is_the_reason_of_whales_that_settled():
+def test_whales_that_settled_and_starts_that_are_made_say_so():
     swarm = WhaleConfig(population=10, iterations=10**4, stagnation=5, tolerance=0.5)
-    found = Counter().run(Whale(swarm))
-    assert "converged" in found.reason
-    assert found.evaluations == 10 * len(found.fitness_trace) < 1000
-
-
-def test_a_number_of_starts_ends_the_search_before_its_budget():
-    found = Counter().run(MultiStart(evaluations=10**4, starts=3))
-    assert len(found.fitness_trace) == 3
-    assert "iterations" in found.reason
+    result = Counter().run(Whale(swarm))
+    assert "converged" in result.reason
+    assert result.evaluations == 10 * len(result.fitness_trace) < 1000
+    result = Counter().run(MultiStart(evaluations=10**4, starts=3))
+    assert len(result.fitness_trace) == 3
+    assert "iterations" in result.reason
 
 
 @given(
@@ -198,7 +181,7 @@ def test_polish_reaches_the_exact_minimum_from_anywhere(start, optimum):
     assert best.reason is StopReason.CONVERGED
 
 
-def test_polish_stops_at_the_wall_before_a_minimum_outside_the_cube():
+def test_polish_stops_at_the_wall():
     outside = np.array([1.4, 0.5, -0.3])
     problem = SearchProblem(
         3, lambda positions: positions[:, 0], 3, lambda at: equations(at - outside, np.eye(3))
@@ -208,7 +191,7 @@ def test_polish_stops_at_the_wall_before_a_minimum_outside_the_cube():
 
 
 @pytest.mark.parametrize("broken", ["residuals", "derivative"])
-def test_a_step_to_where_nothing_is_finite_is_rejected_and_a_shorter_one_taken(broken):
+def test_a_step_that_fails_is_shortened(broken):
     """r = log x − log 0.2 from x = 0.9: the full step goes beyond x = 0.15, where the simulation fails."""
 
     def failing(at):
@@ -259,16 +242,16 @@ def test_polish_refuses_a_start_that_cannot_be_simulated():
     ],
     ids=lambda search: search.name,
 )
-def test_a_search_that_is_heard_finds_the_same_and_tells_errors_that_only_fall(search):
-    told = []
+def test_a_watched_search_finds_the_same(search):
+    steps = []
     counter = Counter()
     COUNTING[:] = [counter]
-    heard = search.minimise(counter.problem(), 3, lambda number, error: told.append((number, error)))
+    watched = search.minimise(counter.problem(), 3, lambda number, error: steps.append((number, error)))
     alone = Counter().run(search, 3)
-    np.testing.assert_array_equal(heard.best, alone.best)
-    np.testing.assert_array_equal(heard.fitness_trace, alone.fitness_trace)
-    numbers, errors = zip(*told, strict=True)
+    np.testing.assert_array_equal(watched.best, alone.best)
+    np.testing.assert_array_equal(watched.fitness_trace, alone.fitness_trace)
+    numbers, errors = zip(*steps, strict=True)
     assert list(numbers) == sorted(set(numbers))
-    assert numbers[-1] == heard.fitness_trace.size
+    assert numbers[-1] == watched.fitness_trace.size
     assert list(errors) == sorted(errors, reverse=True)
-    assert errors[-1] == heard.best_fitness
+    assert errors[-1] == watched.best_fitness

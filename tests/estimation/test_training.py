@@ -32,8 +32,8 @@ def regression(weights, inputs=INPUTS):
 
 
 def trained(training, validation, *, start=(0.0, 0.0, 0.0), key=KEY, progress=None, **settings):
-    asked = AdamConfig(**{"epochs": 30, "patience": 30, "batch": 16, "learning_rate": 0.03, **settings})
-    return train(Linear(jnp.array(start)), squares, training, validation, asked, key, progress)
+    settings = AdamConfig(**{"epochs": 30, "patience": 30, "batch": 16, "learning_rate": 0.03, **settings})
+    return train(Linear(jnp.array(start)), squares, training, validation, settings, key, progress)
 
 
 def test_linear_regression_converges_to_least_squares():
@@ -47,7 +47,7 @@ def test_linear_regression_converges_to_least_squares():
     assert network.label == 7
 
 
-def test_the_weights_of_the_epoch_with_the_smallest_validation_loss_come_back():
+def test_the_weights_of_the_best_epoch_come_back():
     # The validation tests lie half way, so their loss falls, then rises again.
     held = regression(0.5 * WEIGHTS)
     network, trace = trained(regression(WEIGHTS), held, epochs=60, patience=5)
@@ -59,7 +59,7 @@ def test_the_weights_of_the_epoch_with_the_smallest_validation_loss_come_back():
     assert len(trace.training) == len(trace.validation) == trace.best_epoch + 5 < 60
 
 
-def test_an_untrained_network_that_is_best_comes_back_as_it_was():
+def test_an_untrained_network_that_is_best_comes_back():
     start = tuple((-0.5 * WEIGHTS).tolist())
     network, trace = trained(regression(WEIGHTS), regression(start), start=start, patience=4)
     np.testing.assert_array_equal(network.weights, start)
@@ -69,19 +69,14 @@ def test_an_untrained_network_that_is_best_comes_back_as_it_was():
 
 
 def test_all_epochs_are_run_where_the_loss_goes_on_falling():
-    told = []
-    _, trace = trained(
-        regression(WEIGHTS),
-        regression(WEIGHTS),
-        epochs=6,
-        patience=6,
-        progress=lambda *each: told.append(each),
-    )
+    rows, data = [], regression(WEIGHTS)
+    _, trace = trained(data, data, epochs=6, patience=6, progress=lambda *row: rows.append(row))
+    numbers, losses, validation = zip(*rows, strict=True)
     assert trace.stop_reason is TrainingStopReason.EPOCHS
     assert len(trace.training) == len(trace.validation) == trace.best_epoch == 6
-    assert [number for number, _, _ in told] == [1, 2, 3, 4, 5, 6]
-    np.testing.assert_array_equal([loss for _, loss, _ in told], trace.training)
-    np.testing.assert_array_equal([loss for _, _, loss in told], trace.validation)
+    assert numbers == (1, 2, 3, 4, 5, 6)
+    np.testing.assert_array_equal(losses, trace.training)
+    np.testing.assert_array_equal(validation, trace.validation)
 
 
 def test_losses_are_root_mean_squares():
@@ -92,7 +87,7 @@ def test_losses_are_root_mean_squares():
     assert trace.validation[0] == pytest.approx(np.sqrt(np.mean(np.square(held[1]))), rel=1e-9)
 
 
-def test_a_loss_that_is_not_finite_ends_the_training_with_the_best_weights_before_it():
+def test_an_infinite_loss_ends_with_the_best_weights_before():
     inputs, target = regression(WEIGHTS)
     network, trace = trained((inputs, target.at[3].set(jnp.nan)), (inputs, target))
     np.testing.assert_array_equal(network.weights, np.zeros(3))
@@ -106,7 +101,7 @@ def weighted_squares(network, data):
     return jnp.sum(weight * (inputs @ network.weights - target) ** 2), jnp.sum(weight)
 
 
-def test_every_sequence_counts_once_in_batches_filled_with_such_that_do_not():
+def test_every_sequence_counts_once_in_filled_batches():
     inputs, target = regression(WEIGHTS, INPUTS[:40])
     data = (inputs, target, jnp.ones(40))
     full = pad_to_batches(data, 16)
@@ -114,20 +109,13 @@ def test_every_sequence_counts_once_in_batches_filled_with_such_that_do_not():
     for mine, theirs in zip(full, data, strict=True):
         np.testing.assert_array_equal(mine[:40], theirs)
         assert not np.any(mine[40:])
-    asked = AdamConfig(epochs=1, batch=16, learning_rate=1e-14)
-    _, trace = train(Linear(jnp.zeros(3)), weighted_squares, full, full, asked, KEY)
+    settings = AdamConfig(epochs=1, batch=16, learning_rate=1e-14)
+    _, trace = train(Linear(jnp.zeros(3)), weighted_squares, full, full, settings, KEY)
     # The weights stay zero, so what is missed is the target of all forty.
     expected = np.sqrt(np.mean(np.square(target)))
     assert trace.training[0] == pytest.approx(expected, rel=1e-9)
     assert trace.validation[0] == pytest.approx(expected, rel=1e-9)
     assert pad_to_batches(full, 16)[0].shape == full[0].shape
-
-
-def test_fewer_sequences_than_a_batch_are_one_batch():
-    few = regression(WEIGHTS, INPUTS[:5])
-    network, trace = trained(few, few, batch=32)
-    assert trace.validation[-1] < trace.validation[0]
-    assert np.all(np.isfinite(network.weights))
 
 
 def test_one_key_gives_one_training_and_another_key_another():

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from jax.experimental import io_callback
 
 from hitchid.errors import InputError
 from hitchid.estimation import whale
@@ -44,8 +43,7 @@ def rosenbrock(positions):
 
 
 @pytest.mark.parametrize(
-    ("objective", "dimensions", "factor"),
-    [pytest.param(rotated_ellipsoid, 3, 100.0, marks=pytest.mark.long), (rosenbrock, 2, 20.0)],
+    ("objective", "dimensions", "factor"), [(rotated_ellipsoid, 3, 100.0), (rosenbrock, 2, 20.0)]
 )
 def test_whales_leave_random_search_far_behind_wherever_the_optimum_lies(objective, dimensions, factor):
     # The volume in which a quadratic misfit is below f goes with f^(D/2): to come as low, random search
@@ -104,19 +102,6 @@ def test_the_outcome_is_the_best_of_everything_that_was_evaluated():
     assert not bool(outcome.stagnated)
 
 
-def test_the_last_move_is_evaluated():
-    # An objective that falls generation by generation, so the last move is the best there is.
-    countdown = iter(range(1000, 0, -1))
-
-    def falling(positions):
-        shape = jax.ShapeDtypeStruct((8,), positions.dtype)
-        return io_callback(lambda _: np.full(8, float(next(countdown))), shape, positions)
-
-    outcome, positions, _ = logged(falling, WhaleConfig(population=8, iterations=15))
-    assert float(outcome.best_fitness) == 1000.0 - 14
-    np.testing.assert_array_equal(outcome.best, positions[-1, 0])
-
-
 def test_a_failed_simulation_is_counted_and_never_best():
     outcome, _, fitness = logged(half_failing, WhaleConfig(population=8, iterations=15))
     failed = np.isnan(fitness)
@@ -128,31 +113,11 @@ def test_a_failed_simulation_is_counted_and_never_best():
     assert not np.isnan(outcome.trace.best_fitness).any()
 
 
-def test_failures_alone_leave_an_infinite_best_fitness():
-    failures = jnp.array([np.nan, np.inf, -np.inf, np.nan])
-    outcome, _, _ = logged(
-        lambda positions: positions[:, 0] * 0 + failures, WhaleConfig(population=4, iterations=5)
-    )
-    assert float(outcome.best_fitness) == np.inf
-    np.testing.assert_array_equal(outcome.trace.failures, [4] * 5)
-    assert np.all(np.isposinf(outcome.trace.best_fitness))
-
-
 @pytest.mark.parametrize(
-    ("population", "iterations", "evaluations", "generations"),
-    [(8, 10, 40, 5), (8, 10, 47, 5), (8, 10, 48, 6), (8, 10, 1000, 10), (8, 10, None, 10), (8, 10, 8, 1)],
+    ("evaluations", "generations"), [(8, 1), (40, 5), (47, 5), (48, 6), (1000, 10), (None, 10)]
 )
-def test_no_more_generations_fit_than_iterations_and_budget_allow(
-    population, iterations, evaluations, generations
-):
-    swarm = WhaleConfig(population=population, iterations=iterations, evaluations=evaluations)
-    assert swarm.generations == generations
-
-
-def test_no_more_is_evaluated_than_the_budget_allows():
-    outcome, positions, _ = logged(sphere, WhaleConfig(population=8, iterations=10, evaluations=47))
-    assert len(positions) == int(outcome.generations) == 5
-    assert positions[..., 0].size <= 47
+def test_no_more_generations_fit_than_iterations_and_budget_allow(evaluations, generations):
+    assert WhaleConfig(population=8, iterations=10, evaluations=evaluations).generations == generations
 
 
 @pytest.mark.parametrize("setting", [{"evaluations": 7}, {"population": 1}, {"iterations": 0}])
@@ -171,42 +136,25 @@ def test_stagnation_ends_the_search_early_and_says_so(level):
     assert np.all(np.isposinf(outcome.trace.best_fitness[7:]))
 
 
-def test_a_search_that_goes_on_improving_does_not_stagnate():
-    swarm = WhaleConfig(population=8, iterations=15, stagnation=15)
-    outcome, _, _ = logged(sphere, swarm)
-    assert int(outcome.generations) == 15
-    assert not bool(outcome.stagnated)
-
-
-def test_one_seed_gives_one_search_bit_for_bit_and_another_seed_another():
-    swarm = WhaleConfig(population=8, iterations=15)
-    one, again, other = (logged(sphere, swarm, seed=seed)[0] for seed in (3, 3, 4))
-    for first, second in zip(jax.tree.leaves(one), jax.tree.leaves(again), strict=True):
-        np.testing.assert_array_equal(first, second)
-    assert np.any(np.asarray(one.trace.fitness[0]) != np.asarray(other.trace.fitness[0]))
-
-
-def test_drawing_once_for_a_whale_moves_otherwise_from_the_same_start():
+def test_drawing_once_for_a_whale_moves_otherwise():
     wide, _, _ = logged(sphere, WhaleConfig(population=8, iterations=5))
     narrow, _, _ = logged(sphere, WhaleConfig(population=8, iterations=5, per_dimension=False))
     np.testing.assert_array_equal(wide.trace.fitness[0], narrow.trace.fitness[0])
     assert np.all(np.asarray(wide.trace.fitness[1:]) != np.asarray(narrow.trace.fitness[1:]))
 
 
-ASKED = WhaleConfig(population=6, iterations=20)
-
-
+WIDE = WhaleConfig(population=6, iterations=20)
 ask = eqx.filter_jit(whale.ask)
 
 
 @given(seed=st.integers(0, 2**20), generation=st.integers(0, 20), corner=st.sampled_from([0.0, 0.5, 1.0]))
 def test_whales_stay_in_the_cube(seed, generation, corner):
     rng = np.random.default_rng(seed)
-    state = whale.init(rng, 3, ASKED)
+    state = whale.init(rng, 3, WIDE)
     state = eqx.tree_at(
         lambda s: (s.best, s.generation), state, (jnp.full(3, corner), jnp.asarray(generation))
     )
-    for swarm in (ASKED, WhaleConfig(6, 20, per_dimension=False)):
+    for swarm in (WIDE, WhaleConfig(6, 20, per_dimension=False)):
         draws = jax.tree.map(lambda drawn: drawn[0], whale.draw(rng, 3, swarm))
         moved = ask(draws, state, swarm)
         assert np.all((np.asarray(moved) >= 0.0) & (np.asarray(moved) <= 1.0))
@@ -217,7 +165,7 @@ def test_whales_stay_in_the_cube(seed, generation, corner):
 
 
 @pytest.mark.parametrize("stagnation", [None, 4])
-def test_a_search_that_is_looked_at_on_its_way_ends_where_it_would_have(stagnation):
+def test_a_search_looked_at_ends_where_it_would_have(stagnation):
     swarm = WhaleConfig(population=6, iterations=20, stagnation=stagnation, tolerance=0.05)
     carry, draws = whale.begin(3, swarm, 4)
     proceed = jax.jit(lambda carry, until: whale.run_until(sphere, carry, swarm, draws, until))
@@ -226,6 +174,6 @@ def test_a_search_that_is_looked_at_on_its_way_ends_where_it_would_have(stagnati
         carry, _ = whale.begin(3, swarm, 4)
         for until in stops:
             carry = proceed(carry, jnp.asarray(until))
-        found = whale.whale_result(carry, swarm)
-        for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(at_once), strict=True):
+        result = whale.whale_result(carry, swarm)
+        for one, other in zip(jax.tree.leaves(result), jax.tree.leaves(at_once), strict=True):
             np.testing.assert_array_equal(one, other)

@@ -22,41 +22,39 @@ def scatter():
     return np.exp(0.1 * np.random.default_rng(0).standard_normal(12))
 
 
-def test_a_clearly_smaller_error_takes_the_place_of_the_one_before(scatter):
+def test_a_clearly_smaller_error_decides_the_choice(scatter):
     assert best_candidate([candidate(np.ones(12)), candidate(0.5 * scatter)]) == 1
     assert best_candidate([candidate(np.ones(12)), candidate(scatter / scatter.mean())]) == 0
 
 
-def test_what_the_loads_hide_decides_where_free_run_is_not_significantly_worse(scatter):
+def test_what_loads_hide_decides_unless_free_run_is_worse(scatter):
     plain = candidate(np.ones(12), np.ones(12))
     hidden = candidate(1.0 + 2.0 * (scatter - scatter.mean()), 0.5 * scatter)
     worse = candidate(1.5 * scatter, 0.5 * scatter)
     assert best_candidate([plain, hidden]) == 1
     assert best_candidate([plain, worse]) == 0
     # A gain for each of fewer than six tests decides nothing.
-    few = [candidate(each.held_out[:5], each.held_out_per_test_gain[:5]) for each in (plain, hidden)]
+    few = [candidate(form.held_out[:5], form.held_out_per_test_gain[:5]) for form in (plain, hidden)]
     assert best_candidate(few) == 0
 
 
-def test_of_candidates_alike_one_choice_in_ten_at_most_leaves_the_first():
+def test_among_equals_one_choice_in_ten_leaves_the_first():
     """400 choices tell a share of 10 % to 1.5 %, held to three of it."""
     rng = np.random.default_rng(1)
-    taken = [
-        best_candidate(
-            [candidate(*np.exp(0.3 * rng.standard_normal((2, 12)))) for _ in range(6)],
-        )
+    choices = [
+        best_candidate([candidate(*np.exp(0.3 * rng.standard_normal((2, 12)))) for _ in range(6)])
         for _ in range(400)
     ]
-    assert np.mean(np.array(taken) > 0) < 0.1 + 3 * 0.015
+    assert np.mean(np.array(choices) > 0) < 0.1 + 3 * 0.015
 
 
-def test_the_error_of_the_choice_is_that_of_what_the_other_folds_choose():
+def test_the_error_of_a_choice_comes_from_other_folds():
     plain, better = candidate(np.ones(12)), candidate(0.5 * np.ones(12))
     np.testing.assert_array_equal(held_out_errors_of_choice([plain, better]), better.held_out)
     np.testing.assert_array_equal(held_out_errors_of_choice([plain]), plain.held_out)
 
 
-def test_the_error_of_a_choice_by_chance_is_not_the_smallest():
+def test_a_choice_by_chance_has_no_smaller_error():
     """Of forms alike the chosen one's held-out error is too small; that of the choice is not."""
     rng = np.random.default_rng(3)
     chosen_errors, choice_errors = [], []

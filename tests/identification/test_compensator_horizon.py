@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import handmade
-from hitchid.identification.held_out import HeldOut, held_out_errors, within_a_second
+from hitchid.identification.held_out import HeldOut, held_out_errors
 from hitchid.identification.held_out_training import diverging, judge_compensator
 from hitchid.logs.record import LIFTING
 from hitchid.model import Channel
@@ -33,21 +33,13 @@ def errors(*rmse):
         ((0.5, 0.5, 0.5, 0.5), None),
         ((1.0, 1.2, 1.5, 2.0), None),  # worse, as one trained on fewer tests may be, but not diverging
         ((0.5, 0.5, 2.1, 0.5), 5),
-        ((2.1, 0.5, 0.5, 0.5), 1),
         ((0.5, 0.5, 0.5, np.inf), 10),
         ((0.5, np.nan, 0.5, 0.5), 2),
-        ((0.5, 1e200, 0.5, 0.5), 2),
         ((), None),
     ],
 )
 def test_errors_more_than_twice_those_without_correction_diverge(corrected, expected):
     assert diverging(errors(*corrected), errors(1.0, 1.0, 1.0, 1.0)) == expected
-
-
-def test_horizons_are_no_further_than_a_second():
-    assert within_a_second((200, 500, 1000), 0.001) == (200, 500, 1000)
-    assert within_a_second((200, 500, 1000), 0.005) == (200,)
-    assert within_a_second((200, 500, 1000), 0.01) == ()
 
 
 @pytest.fixture
@@ -68,23 +60,23 @@ def judged(channel, batch):
 
 def test_an_untrained_compensator_corrects_all_horizons_of_the_tests(tests):
     channel = handmade.channel(LIFTING, "integrator", compensated=False)
-    found = judged(channel, tests)
-    assert found.channel.compensator.max_horizon == 100
-    assert [fold.channel.compensator.max_horizon for fold in found.held_out] == [100, 100]
-    assert found.notices == ()
+    outcome = judged(channel, tests)
+    assert outcome.channel.compensator.max_horizon == 100
+    assert [fold.channel.compensator.max_horizon for fold in outcome.held_out] == [100, 100]
+    assert outcome.notices == ()
 
 
-def test_one_that_is_wrong_from_the_first_sample_is_not_used_and_this_is_said(tests):
+def test_a_compensator_wrong_from_the_start_is_not_used(tests):
     channel = handmade.channel(LIFTING, "integrator", compensated=False)
     wrong = eqx.tree_at(
         lambda c: c.compensator.network.head.bias, channel, jnp.full(1, 100.0, dtype=jnp.float32)
     )
-    found = judged(wrong, tests)
-    assert found.channel.compensator is None
-    assert all(fold.channel.compensator is None for fold in found.held_out)
-    (notice,) = found.notices
-    said = "the compensator for predictions is not used; else the RMSE of held-out tests 1 sample ahead is "
-    assert notice.startswith(said)
+    outcome = judged(wrong, tests)
+    assert outcome.channel.compensator is None
+    assert all(fold.channel.compensator is None for fold in outcome.held_out)
+    (notice,) = outcome.notices
+    words = "the compensator for predictions is not used; else the RMSE of held-out tests 1 sample ahead is "
+    assert notice.startswith(words)
 
 
 class Diverging(Channel):
@@ -96,12 +88,12 @@ class Diverging(Channel):
         return batch.displacement + jnp.array(factors)[:, None, None]
 
 
-def test_one_that_diverges_corrects_as_far_as_it_does_not_and_this_is_said(tests):
+def test_a_compensator_corrects_as_far_as_it_does_not_diverge(tests):
     plain = handmade.channel(LIFTING, "integrator", compensated=True)
-    found = judged(Diverging(**{field.name: getattr(plain, field.name) for field in fields(plain)}), tests)
-    assert found.channel.compensator.max_horizon == 20
-    assert [fold.channel.compensator.max_horizon for fold in found.held_out] == [20, 20]
-    assert found.notices == (
+    outcome = judged(Diverging(**{field.name: getattr(plain, field.name) for field in fields(plain)}), tests)
+    assert outcome.channel.compensator.max_horizon == 20
+    assert [fold.channel.compensator.max_horizon for fold in outcome.held_out] == [20, 20]
+    assert outcome.notices == (
         "the compensator for predictions corrects up to 20 samples ahead; else the RMSE of held-out tests 30 "
         "samples ahead is 5, and 1 without it",
     )
@@ -109,16 +101,16 @@ def test_one_that_diverges_corrects_as_far_as_it_does_not_and_this_is_said(tests
 
 def test_tests_too_short_to_judge_leave_it_as_it_is(make_record):
     short = Batch.of([make_record([100.0], [0.5])] * 2, LIFTING, dead_zone=0.0, sign=1)
-    found = judged(handmade.channel(LIFTING, "integrator", compensated=True), short)
-    assert found.channel.compensator.max_horizon == 100
-    assert found.errors == {}
+    outcome = judged(handmade.channel(LIFTING, "integrator", compensated=True), short)
+    assert outcome.channel.compensator.max_horizon == 100
+    assert outcome.errors == {}
 
 
 def test_the_errors_are_those_of_the_channels_that_are_returned(tests):
-    found = judged(handmade.channel(LIFTING, "integrator", compensated=True), tests)
-    again = held_out_errors(found.held_out, tests, found.errors)
-    assert again.keys() == found.errors.keys()
+    outcome = judged(handmade.channel(LIFTING, "integrator", compensated=True), tests)
+    again = held_out_errors(outcome.held_out, tests, outcome.errors)
+    assert again.keys() == outcome.errors.keys()
     for horizon, row in again.items():
         np.testing.assert_array_equal(
-            np.concatenate(row.errors), np.concatenate(found.errors[horizon].errors)
+            np.concatenate(row.errors), np.concatenate(outcome.errors[horizon].errors)
         )

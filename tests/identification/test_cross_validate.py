@@ -16,7 +16,7 @@ from hitchid.identification.cross_validation import divide
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.record import LIFTING, LOWERING
 
-FOLDS = 3
+FOLDS = 2
 
 
 @pytest.fixture(scope="module")
@@ -31,16 +31,16 @@ def settings(quick_settings):
 
 
 @pytest.fixture(scope="module")
-def told():
+def updates():
     return []
 
 
 @pytest.fixture(scope="module")
-def result(campaign, settings, told):
-    return hitchid.cross_validate(campaign, FOLDS, **settings, progress=told.append)
+def result(campaign, settings, updates):
+    return hitchid.cross_validate(campaign, FOLDS, **settings, progress=updates.append)
 
 
-def test_every_test_is_held_out_once_and_from_its_own_model(campaign, result):
+def test_every_test_is_held_out_from_one_model(campaign, result):
     assert len(result) == FOLDS
     held_out = [name for fold in result for name in fold.tests]
     assert sorted(held_out) == sorted(record.name for record in campaign.records)
@@ -50,7 +50,7 @@ def test_every_test_is_held_out_once_and_from_its_own_model(campaign, result):
         assert fold.model.provenance.seen == set(fingerprints.values()) - own
 
 
-def test_the_pooled_figures_are_those_of_the_errors_computed_by_hand(campaign, result):
+def test_pooled_figures_are_those_computed_by_hand(campaign, result):
     records = {record.name: record for record in campaign.records}
     for direction in (LIFTING, LOWERING):
         squares, counts = [], []
@@ -67,6 +67,8 @@ def test_the_pooled_figures_are_those_of_the_errors_computed_by_hand(campaign, r
         left = np.sqrt((np.sum(squares) - squares) / (np.sum(counts) - np.array(counts)))
         jackknife = np.sqrt(5 / 6 * np.sum((left - left.mean()) ** 2))
         assert pooled.rmse_error == pytest.approx(jackknife, rel=1e-9)
+        # The noise is 0.02 mm; parameters from some 800 samples add a few percent of it.
+        assert 0.015 < pooled.rmse < 0.2
 
 
 def test_the_figures_of_a_fold_are_those_of_its_validation(campaign, result):
@@ -77,34 +79,24 @@ def test_the_figures_of_a_fold_are_those_of_its_validation(campaign, result):
             assert fold.figures(direction) == alone.accuracy[direction].models["greybox"]
 
 
-def test_the_right_structure_errs_by_little_more_than_the_noise(result):
-    """The noise is 0.02 mm; parameters from some 800 samples add a few percent of it."""
-    for direction in (LIFTING, LOWERING):
-        assert 0.015 < result.figures(direction).free_run.rmse < 0.2
-
-
-def test_progress_moves_on_to_the_last_fold(result, told):
-    fractions = [step.fraction for step in told]
+def test_progress_moves_on_to_the_last_fold(result, updates):
+    fractions = [update.fraction for update in updates]
     assert fractions == sorted(fractions)
-    assert told[-1].stage == f"validation of fold {FOLDS}"
+    assert updates[-1].stage == f"validation of fold {FOLDS}"
 
 
-def test_the_folds_are_a_dataframe_with_a_pooled_row(result):
+def test_folds_are_a_dataframe_and_fit_one_screen(result):
     pytest.importorskip("pandas")
     frame = result.to_dataframe()
     assert len(frame) == 2 * (FOLDS + 1)
     pooled = frame[(frame.section == LIFTING) & (frame.fold == "all")].iloc[0]
     assert pooled["free_run_rmse_mm"] == result.figures(LIFTING).free_run.rmse
     assert pooled["tests"] == 6
-
-
-def test_the_result_shows_pooled_figures_on_one_screen(result):
-    rmse = result.figures(LIFTING).free_run.rmse
-    assert f"{rmse:.4g}" in repr(result)
+    assert f"{pooled['free_run_rmse_mm']:.4g}" in repr(result)
     assert len(repr(result).splitlines()) <= 25
 
 
-def test_a_fold_that_fails_gives_its_error_and_leaves_the_others(campaign, settings, monkeypatch):
+def test_a_fold_that_fails_leaves_the_others(campaign, settings, monkeypatch):
     def failing_first(campaigns, **options):
         error = FitError("lifting: nothing moves")
         return (error, *identify_many(campaigns[1:], **options))
@@ -120,22 +112,22 @@ def test_a_fold_that_fails_gives_its_error_and_leaves_the_others(campaign, setti
     assert set(names) == {name for name in other.tests if name.startswith(LIFTING)}
 
 
-def test_where_every_fold_fails_the_error_is_that_of_the_first(campaign, settings):
+def test_if_every_fold_fails_the_first_error_is_raised(campaign, settings):
     with pytest.raises(SettingsError, match=r"lifting: dead_zone: .*got 5"):
         hitchid.cross_validate(campaign, 2, **settings, dead_zones={LIFTING: 5.0})
 
 
 @pytest.mark.parametrize(
-    ("folds", "said"),
+    ("folds", "message"),
     [(7, "expected at most 6 for 6 lifting tests at 6 operating points, got 7"), (1, "at least 2, got")],
 )
-def test_folds_that_cannot_be_made_are_refused(campaign, folds, said):
-    with pytest.raises(InputError, match=said):
+def test_folds_that_cannot_be_made_are_refused(campaign, folds, message):
+    with pytest.raises(InputError, match=message):
         hitchid.cross_validate(campaign, folds)
 
 
 @given(st.integers(2, 5), st.integers(0, 2**32 - 1))
-def test_tests_at_one_operating_point_share_a_fold_whatever_the_seed(levels_campaign, folds, seed):
+def test_tests_at_one_operating_point_share_a_fold(levels_campaign, folds, seed):
     """Fifteen tests at five levels of command: folds divide the levels, evenly to one."""
     divided = divide(levels_campaign, folds, seed)
     names = [[record.name for record in fold.held_out.records] for fold in divided]
@@ -144,9 +136,7 @@ def test_tests_at_one_operating_point_share_a_fold_whatever_the_seed(levels_camp
     assert sum(map(len, levels)) == 5
     assert max(map(len, levels)) - min(map(len, levels)) <= 1
     for fold in divided:
-        seen = {record.fingerprint for record in fold.training.identification(LIFTING)}
-        assert not seen & {record.fingerprint for record in fold.held_out.records}
-        assert len(seen) + len(fold.held_out.records) == 15
+        assert len(fold.training.identification(LIFTING)) + len(fold.held_out.records) == 15
 
 
 @pytest.fixture(scope="module")
@@ -163,7 +153,7 @@ def levels_campaign(make_record):
     return Campaign.of(records)
 
 
-def test_a_copy_of_a_held_out_test_is_not_identified_from(levels_campaign):
+def test_no_copy_of_a_held_out_test_is_used(levels_campaign):
     """With a covariate every test is an operating point, so that copies may fall into two folds."""
     first, *others = (
         replace(

@@ -41,37 +41,24 @@ def ramp(make_record):
     return make
 
 
-@pytest.mark.parametrize("drift", [0.0, -0.5])
-@pytest.mark.parametrize("power", [1.0, 1.5, 2.0])
+@pytest.mark.parametrize(("mode", "direction", "drift"), [(LIFTING, 1, -0.5), (LOWERING, -1, 0.0)])
+@pytest.mark.parametrize("power", [1.0, 2.0])
 @pytest.mark.parametrize("dead_zone", [0.2, 0.5])
-def test_the_onset_of_a_ramp_is_found_through_drift_and_whatever_shape_the_flow_has(
-    ramp, dead_zone, power, drift
-):
-    found = from_ramps([ramp(dead_zone, power=power, drift=drift, noise=0.01)], LIFTING, 1)
-    assert abs(found.value - dead_zone) <= SENSOR_A
-    assert (found.spread, found.count, found.origin) == (None, 1, "ramps")
-
-
-@pytest.mark.parametrize("drift", [0.0, -0.5])
-def test_a_valve_of_linear_flow_gives_its_dead_zone_to_the_grid(ramp, drift):
-    found = from_ramps([ramp(0.35, drift=drift)], LIFTING, 1)
-    # The model holds the truth, so the candidate next to it is the lowest: half the spacing at most.
-    assert abs(found.value - 0.35) <= 0.5 * 0.95 / CANDIDATES
-
-
-def test_lowering_ramps_are_read_in_the_direction_they_move(ramp):
-    found = from_ramps([ramp(0.35, direction=-1, mode=LOWERING)], LOWERING, -1)
-    assert abs(found.value - 0.35) <= SENSOR_A
+def test_a_ramps_onset_is_found_whatever_flow_and_drift(ramp, dead_zone, power, mode, direction, drift):
+    record = ramp(dead_zone, power=power, drift=drift, direction=direction, noise=0.01, mode=mode)
+    zone = from_ramps([record], mode, direction)
+    assert abs(zone.value - dead_zone) <= SENSOR_A
+    assert (zone.spread, zone.count, zone.origin) == (None, 1, "ramps")
 
 
 def test_repeats_give_their_mean_and_their_spread(ramp):
     zones = (0.33, 0.35, 0.40)
-    found = from_ramps([ramp(zone) for zone in zones], LIFTING, 1)
+    zone = from_ramps([ramp(zone) for zone in zones], LIFTING, 1)
     half = 0.5 * 0.95 / CANDIDATES
-    assert found.value == pytest.approx(np.mean(zones), abs=half)
+    assert zone.value == pytest.approx(np.mean(zones), abs=half)
     # Three errors of at most half a spacing change a deviation over √2 by √3/√2 of that at most.
-    assert found.spread == pytest.approx(np.std(zones, ddof=1), abs=1.23 * half)
-    assert found.count == 3
+    assert zone.spread == pytest.approx(np.std(zones, ddof=1), abs=1.23 * half)
+    assert zone.count == 3
 
 
 @pytest.mark.parametrize(("drift", "noise"), [(0.0, 0.0), (0.5, 0.01), (0.0, 0.01)])
@@ -89,30 +76,31 @@ def dynamic(rng, dead_zone, *, time_constant=0.0, dead_samples=0, noise=0.0, sig
     return command, travel + noise * rng.standard_normal(SAMPLES), np.ones(SAMPLES, dtype=bool)
 
 
-@pytest.mark.parametrize("dead_zone", [0.2, 0.35, 0.5])
-@pytest.mark.parametrize("signed", [False, True])
-def test_dynamic_tests_of_an_integrator_give_its_dead_zone_to_the_grid(dead_zone, signed):
+@pytest.mark.parametrize(("dead_zone", "signed"), [(0.2, False), (0.35, True), (0.5, True)])
+def test_tests_of_an_integrator_give_its_dead_zone(dead_zone, signed):
     rng = np.random.default_rng(0)
-    found = from_tests([dynamic(rng, dead_zone, signed=signed) for _ in range(4)], STEP_S)
-    assert abs(found.value - dead_zone) <= 0.95 / CANDIDATES
-    assert (found.count, found.origin) == (4, "tests")
+    zone = from_tests([dynamic(rng, dead_zone, signed=signed) for _ in range(4)], STEP_S)
+    assert abs(zone.value - dead_zone) <= 0.95 / CANDIDATES
+    assert (zone.count, zone.origin) == (4, "tests")
 
 
 @pytest.mark.parametrize(("time_constant", "dead_samples"), [(0.08, 0), (0.5, 0), (0.05, 5)])
-def test_a_lag_or_a_dead_time_does_not_pass_for_a_dead_zone(time_constant, dead_samples):
+def test_no_lag_or_dead_time_passes_for_a_dead_zone(time_constant, dead_samples):
     rng = np.random.default_rng(0)
     tests = [dynamic(rng, 0.35, time_constant=time_constant, dead_samples=dead_samples) for _ in range(4)]
     assert abs(from_tests(tests, STEP_S).value - 0.35) <= SENSOR_A
 
 
-def test_the_standard_error_over_tests_tells_how_far_off_the_dead_zone_is():
+@pytest.mark.parametrize("count", [1, 4])
+def test_the_standard_error_tells_how_far_off_it_is(count):
     rng = np.random.default_rng(0)
-    found = [from_tests([dynamic(rng, 0.35, noise=3.0) for _ in range(4)], STEP_S) for _ in range(10)]
-    errors = np.array([each.spread for each in found])
-    misses = np.array([each.value - 0.35 for each in found])
+    zones = [from_tests([dynamic(rng, 0.35, noise=3.0) for _ in range(count)], STEP_S) for _ in range(10)]
+    misses, errors = ([zone.value - 0.35 for zone in zones], [zone.spread for zone in zones])
+    ratio = np.mean(np.square(misses)) / np.mean(np.square(errors))
     # Ten estimates have ten degrees of freedom about the truth, ten jackknifes over four tests thirty.
-    least, most = np.sqrt(stats.f.ppf([0.0005, 0.9995], 10, 30))
-    assert least <= np.sqrt(np.mean(misses**2) / np.mean(errors**2)) <= most
+    # Stretches of one test err alike, so that they tell less: within a factor of four, not of nought.
+    least, most = stats.f.ppf([0.0005, 0.9995], 10, 30) if count > 1 else (0.0, 16.0)
+    assert least <= ratio <= most
 
 
 def test_samples_that_do_not_count_are_not_looked_at():
@@ -125,25 +113,16 @@ def test_samples_that_do_not_count_are_not_looked_at():
     assert abs(from_tests(tests, STEP_S).value - 0.35) <= 0.95 / CANDIDATES
 
 
-@pytest.mark.parametrize("count", [1, 2])
-def test_stretches_of_few_tests_give_a_standard_error(count):
-    rng = np.random.default_rng(0)
-    found = [from_tests([dynamic(rng, 0.35, noise=3.0) for _ in range(count)], STEP_S) for _ in range(10)]
-    misses = np.array([each.value - 0.35 for each in found])
-    # Stretches of one test err alike, so that they tell less: within a factor of four, not of nought.
-    assert np.mean(misses**2) <= 16 * np.mean([each.spread**2 for each in found])
-
-
-def test_a_log_of_a_hundred_thousand_samples_takes_no_memory_to_speak_of():
+def test_a_long_log_takes_little_memory():
     command = np.where(np.arange(100_000) % 2000 < 1000, 0.3 + 5e-6 * np.arange(100_000), 0.0)
     travel = np.cumsum(np.maximum(command - 0.35, 0.0)) * 0.3
     tracemalloc.start()
-    found = from_tests([(command, travel, np.ones(command.size, bool))], STEP_S)
+    zone = from_tests([(command, travel, np.ones(command.size, bool))], STEP_S)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     # A column of 100 000 numbers for each of 400 candidates and six columns would be 1.9 GB.
     assert peak < 0.5e9
-    assert abs(found.value - 0.35) <= 1.0 / CANDIDATES
+    assert abs(zone.value - 0.35) <= 1.0 / CANDIDATES
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05])
@@ -155,46 +134,44 @@ def test_one_level_of_command_does_not_tell_the_dead_zone(noise):
         travel = held([30.0], [1.0, 0.0], np.maximum(command - 0.35, 0.0))
         travel += noise * rng.standard_normal(SAMPLES)
         tests.append((command, travel, np.ones(SAMPLES, dtype=bool)))
-    found = from_tests(tests, STEP_S)
+    zone = from_tests(tests, STEP_S)
     # Unknown is not exact: the error is half of the level.
-    assert (found.value, found.spread, found.count, found.origin) == (0.0, 0.4, 3, "none")
+    assert (zone.value, zone.spread, zone.count, zone.origin) == (0.0, 0.4, 3, "none")
 
 
 @pytest.mark.parametrize("delay_s", [0.1, 0.3])
-def test_a_ramp_faster_than_the_plants_delay_makes_the_dead_zone_less_sure(ramp, delay_s):
+def test_a_fast_ramp_makes_the_dead_zone_less_sure(ramp, delay_s):
     rng = np.random.default_rng(0)
     tests = [dynamic(rng, 0.35, dead_samples=round(delay_s / STEP_S)) for _ in range(4)]
-    found = response_delay(tests, 0.35, STEP_S)
-    assert found == pytest.approx(delay_s)
-    late = found * ramp_rate(ramp(0.35), LIFTING)
+    delay = response_delay(tests, 0.35, STEP_S)
+    assert delay == pytest.approx(delay_s)
+    late = delay * ramp_rate(ramp(0.35), LIFTING)
     zone = from_onsets([0.35 + late], late)
     assert zone.error.standard_error == pytest.approx(late)
     lower, upper = zone.to_quantity("A").interval
     assert lower <= 0.35 <= upper
 
 
-def test_a_plant_without_a_dead_zone_has_one_of_zero_that_is_not_exact():
+def test_no_dead_zone_is_one_of_about_zero():
     rng = np.random.default_rng(0)
-    found = from_tests([dynamic(rng, 0.0, noise=1.0) for _ in range(4)], STEP_S)
-    assert found.value <= found.error.standard_error
-    assert 0 < found.error.standard_error < 0.1
+    zone = from_tests([dynamic(rng, 0.0, noise=1.0) for _ in range(4)], STEP_S)
+    assert zone.value <= zone.error.standard_error
+    assert 0 < zone.error.standard_error < 0.1
 
 
-def test_a_lag_of_some_samples_of_a_slow_clock_does_not_pass_for_a_dead_zone():
+def test_on_a_slow_clock_a_lag_is_no_zone():
     rng = np.random.default_rng(0)
     tests = [dynamic(rng, 0.0, time_constant=3 * STEP_S) for _ in range(6)]
     # The same samples on a clock of 1 s, where three of them are longer than the longest lag of a fast clock.
-    found = from_tests([(command, travel / STEP_S, counts) for command, travel, counts in tests], 1.0)
-    assert found.value <= 0.95 / CANDIDATES
+    zone = from_tests([(command, travel / STEP_S, counts) for command, travel, counts in tests], 1.0)
+    assert zone.value <= 0.95 / CANDIDATES
 
 
-def test_a_dead_zone_at_the_end_of_its_candidates_has_an_error_that_is_not_negative():
+def test_a_dead_zone_at_the_grids_end_has_an_error():
     rng = np.random.default_rng(0)
     # Only the largest level moves the piston: any dead zone just below it would do.
     command = np.where(rng.random((4, SAMPLES)) > 0.5, 1.0, 0.9)
     travels = np.cumsum(np.maximum(command - 0.99, 0.0), axis=1) * 30.0 * STEP_S
-    found = from_tests(
-        [(u, w, np.ones(SAMPLES, bool)) for u, w in zip(command, travels, strict=True)], STEP_S
-    )
-    assert found.error.standard_error >= 0
-    assert found.value + found.error.standard_error >= 0.9
+    zone = from_tests([(u, w, np.ones(SAMPLES, bool)) for u, w in zip(command, travels, strict=True)], STEP_S)
+    assert zone.error.standard_error >= 0
+    assert zone.value + zone.error.standard_error >= 0.9

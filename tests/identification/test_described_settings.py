@@ -10,20 +10,8 @@ from hitchid.identification import read_settings
 from hitchid.identification.config import IdentificationConfig
 
 SEARCH = {"method": "whale", "evaluations": 600, "population": 20, "stagnation": 7, "per_dimension": False}
-TRAINING = {
-    "compensator": True,
-    "hidden": 8,
-    "window": 30,
-    "epochs": 15,
-    "patience": 9,
-    "batch": 16,
-    "learning_rate": 0.01,
-    "free_run": False,
-}
-
-
-def toml(values):
-    return "\n".join(f"{key} = {json.dumps(value)}" for key, value in values.items())
+TRAINING = {"compensator": True, "hidden": 8, "window": 30, "epochs": 15, "patience": 9, "batch": 16}
+TRAINING |= {"learning_rate": 0.01, "free_run": False}
 
 
 def described(**settings):
@@ -32,13 +20,13 @@ def described(**settings):
 
 
 def test_what_a_file_sets_is_kept_by_its_own_keys(tmp_path):
-    (tmp_path / "a.toml").write_text(f"[search]\n{toml(SEARCH)}\n[training]\n{toml(TRAINING)}\n")
+    lines = []
+    for name, table in (("search", SEARCH), ("training", TRAINING)):
+        lines += [f"[{name}]", *(f"{key} = {json.dumps(value)}" for key, value in table.items())]
+    (tmp_path / "a.toml").write_text("\n".join(lines))
     kept = described(**read_settings(tmp_path / "a.toml"))
     assert {key: kept["search"][key] for key in SEARCH} == SEARCH
     assert {key: kept["training"][key] for key in TRAINING} == TRAINING
-
-
-def test_training_that_is_switched_off_is_kept_as_that(tmp_path):
     (tmp_path / "a.toml").write_text("[training]\ncompensator = false\n")
     assert described(**read_settings(tmp_path / "a.toml"))["training"] == {"compensator": False}
 
@@ -51,7 +39,7 @@ def test_every_search_is_kept_by_its_method_and_as_json(search):
     assert "name" not in kept["search"]
 
 
-def test_a_search_from_outside_without_settings_is_kept_by_its_method():
+def test_a_search_from_outside_is_kept_by_its_method():
     class Guess(Search):
         name = "guess"
 

@@ -7,7 +7,6 @@ import pytest
 
 from hitchid._support.precision import double_precision
 from hitchid.errors import FitError
-from hitchid.identification import load_filter_fit
 from hitchid.identification.load_filter_fit import MAX_LOAD_SCATTER, fit_load_filter
 from hitchid.logs.record import LIFTING
 from hitchid.structures import Batch
@@ -40,49 +39,24 @@ def simulated(make_record, rng, *, load=LOAD, transient=TRANSIENT_MM, noise=NOIS
 
 
 @double_precision
-def test_scatter_of_load_transient_and_noise_are_found_again(make_record):
+def test_a_filter_is_found_again_and_a_refit_stays_there(make_record):
     batch, runs = simulated(make_record, np.random.default_rng(3))
-    found = fit_load_filter(batch, runs)
-    assert float(found.load_scatter) == pytest.approx(LOAD, rel=3 * LOAD_ERROR)
-    assert float(found.transient_scatter) == pytest.approx(TRANSIENT_MM, rel=3 * TRANSIENT_ERROR)
-    assert float(found.transient_time) == pytest.approx(TIME_S, rel=6 * TRANSIENT_ERROR)
-    assert float(found.noise) == pytest.approx(NOISE_MM, rel=0.1)
-    assert float(found.load_length) > runs.max() - runs.min()  # the load of a test stays
+    load_filter = fit_load_filter(batch, runs)
+    assert float(load_filter.load_scatter) == pytest.approx(LOAD, rel=3 * LOAD_ERROR)
+    assert float(load_filter.transient_scatter) == pytest.approx(TRANSIENT_MM, rel=3 * TRANSIENT_ERROR)
+    assert float(load_filter.transient_time) == pytest.approx(TIME_S, rel=6 * TRANSIENT_ERROR)
+    assert float(load_filter.noise) == pytest.approx(NOISE_MM, rel=0.1)
+    assert float(load_filter.load_length) > runs.max() - runs.min()  # the load of a test stays
+    again = fit_load_filter(batch, runs, load_filter)
+    for name in ("noise", "load_scatter", "transient_scatter", "transient_time"):
+        assert float(getattr(again, name)) == pytest.approx(float(getattr(load_filter, name)), rel=0.02)
 
 
 @double_precision
 def test_the_load_at_most_doubles_the_speed(make_record):
     # Loads of ± 200 %: a benchmark that is wrong.
     batch, runs = simulated(make_record, np.random.default_rng(5), load=2.0)
-    found = fit_load_filter(batch, runs)
-    assert float(found.load_scatter) == pytest.approx(MAX_LOAD_SCATTER)
-    again = fit_load_filter(batch, runs, found)
-    assert float(again.load_scatter) <= MAX_LOAD_SCATTER * (1 + 1e-12)
-
-
-@double_precision
-@pytest.mark.parametrize(("step_s", "furthest"), [(0.01, 100), (0.003, 300), (0.001, 1000)])
-def test_predictions_are_judged_up_to_100_samples_or_a_second(make_record, monkeypatch, step_s, furthest):
-    judged = []
-
-    def likelihood(position, typical, tests, horizons, step_s):
-        judged.append(horizons)
-        return jnp.zeros_like(position), jnp.zeros(())
-
-    monkeypatch.setattr(load_filter_fit, "_negative_log_likelihood", likelihood)
-    record = make_record(100.0 + np.arange(1200) * 0.01, np.ones(1200), step_s=step_s)
-    batch = Batch.of([record], LIFTING, dead_zone=0.0, sign=1)
-    fit_load_filter(batch, np.asarray(batch.displacement))
-    assert judged[0] == (1, 3, 10, 30, 100, 300, 1000)[: (100, 300, 1000).index(furthest) + 5]
-
-
-@double_precision
-def test_a_refit_from_the_optimum_stays_there(make_record):
-    batch, runs = simulated(make_record, np.random.default_rng(3))
-    found = fit_load_filter(batch, runs)
-    again = fit_load_filter(batch, runs, found)
-    for name in ("noise", "load_scatter", "transient_scatter", "transient_time"):
-        assert float(getattr(again, name)) == pytest.approx(float(getattr(found, name)), rel=0.02)
+    assert float(fit_load_filter(batch, runs).load_scatter) == pytest.approx(MAX_LOAD_SCATTER)
 
 
 @double_precision
@@ -98,8 +72,8 @@ def test_tests_that_tell_nothing_give_a_finite_filter(make_record, case):
     if case == "one short test":
         batch = batch.take([0]).masked(jnp.arange(batch.command.shape[1])[None] < 4)
         runs = runs[:1]
-    found = fit_load_filter(batch, runs)
-    values = np.array([float(value) for value in jax.tree.leaves(found)])
+    load_filter = fit_load_filter(batch, runs)
+    values = np.array([float(value) for value in jax.tree.leaves(load_filter)])
     assert np.all(np.isfinite(values))
     assert np.all(values > 0)
 
@@ -111,9 +85,9 @@ def test_of_many_tests_those_that_count_are_used(make_record, fold):
     copies = 8  # 192 tests, of which every fourth counts: every fourth is also how they are thinned out
     many = batch.take([*range(TESTS)] * copies)
     counts = np.arange(copies * TESTS) % 4 == fold
-    found = fit_load_filter(many.masked(jnp.asarray(counts)[:, None]), np.tile(runs, (copies, 1)))
+    load_filter = fit_load_filter(many.masked(jnp.asarray(counts)[:, None]), np.tile(runs, (copies, 1)))
     # Six of the 24 loads.
-    assert float(found.load_scatter) == pytest.approx(LOAD, rel=3 / np.sqrt(2 * TESTS / 4))
+    assert float(load_filter.load_scatter) == pytest.approx(LOAD, rel=3 / np.sqrt(2 * TESTS / 4))
 
 
 @double_precision

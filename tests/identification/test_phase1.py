@@ -11,8 +11,7 @@ from scipy import stats
 from hitchid.errors import FitError, InputError
 from hitchid.estimation import Search, SearchResult
 from hitchid.estimation.objective import GAIN_RIDGE, RIDGE_FLOOR, Objective, _per_test_gain_residuals
-from hitchid.estimation.whale import WhaleConfig
-from hitchid.identification import ModelSpec, MultiStart, Whale
+from hitchid.identification import ModelSpec, MultiStart
 from hitchid.identification.direction import _within_update_interval
 from hitchid.identification.phase1 import identify_benchmark
 from hitchid.logs.record import LIFTING
@@ -62,52 +61,45 @@ def values(phase1):
 @pytest.mark.parametrize(("omega", "damping", "direction"), [(18.0, 0.3, 1), (25.0, 0.8, -1), (18.0, 1.8, 1)])
 def test_gain_natural_frequency_and_damping_are_found_again(batch_of, omega, damping, direction):
     batch = batch_of(plants(second_order(21.0, omega, damping)), direction=direction)
-    found = identified(batch, SECOND_ORDER)
+    phase1 = identified(batch, SECOND_ORDER)
     expected = {"gain": 21.0, "natural_frequency": omega, "damping_ratio": damping}
-    assert values(found) == pytest.approx(expected, rel=1e-6)
-    assert {estimate.verdict for estimate in found.parameter_estimates} == {"determined"}
+    assert values(phase1) == pytest.approx(expected, rel=1e-6)
+    assert {estimate.verdict for estimate in phase1.parameter_estimates} == {"determined"}
     # Rounding of displacements of 80 mm and of sums over 250 samples.
-    assert found.rmse <= 250 * np.finfo(float).eps * 100.0
-    assert found.rmse <= found.search_rmse
+    assert phase1.rmse <= 250 * np.finfo(float).eps * 100.0
+    assert phase1.rmse <= phase1.search_rmse
 
 
 @pytest.mark.parametrize("direction", [1, -1])
-def test_initial_speed_and_time_constant_of_a_lag_are_found_again(batch_of, direction):
-    found = identified(batch_of(plants(lag(15.0, 0.7)), direction=direction), LAG)
-    assert values(found) == pytest.approx({"gain": 15.0, "time_constant": 0.7}, rel=1e-6)
-    follows = {each.name: (each.value, each.unit) for each in found.assessment.derived}
+def test_speed_and_time_constant_of_a_lag_are_found_again(batch_of, direction):
+    phase1 = identified(batch_of(plants(lag(15.0, 0.7)), direction=direction), LAG)
+    assert values(phase1) == pytest.approx({"gain": 15.0, "time_constant": 0.7}, rel=1e-6)
+    follows = {quantity.name: (quantity.value, quantity.unit) for quantity in phase1.assessment.derived}
     assert follows["alpha2 = K"] == (pytest.approx(15.0 * 0.7, rel=1e-6), "mm/A")
     assert follows["beta4 = tau"] == (pytest.approx(0.7, rel=1e-6), "s")
-    assert found.parameter_estimates[0].unit == "mm/(s·A)"
-
-
-def test_whales_and_the_polish_find_a_lag_again(batch_of):
-    search = Whale(WhaleConfig(population=10, evaluations=200))
-    found = identified(batch_of(plants(lag(15.0, 0.7))), LAG, search=search)
-    assert values(found) == pytest.approx({"gain": 15.0, "time_constant": 0.7}, rel=1e-6)
-    assert found.rmse < found.search_rmse
+    assert phase1.parameter_estimates[0].unit == "mm/(s·A)"
 
 
 @pytest.mark.parametrize("dead_samples", [3.7, 12.4])
 def test_a_dead_time_is_found_again(batch_of, dead_samples):
     batch = batch_of(plants(lag(15.0, 0.7), dead_samples=dead_samples))
-    found = identified(batch, LAG, dead_time=True, search=MultiStart(evaluations=600))
+    phase1 = identified(batch, LAG, dead_time=True, search=MultiStart(evaluations=600))
     expected = {"gain": 15.0, "time_constant": 0.7, "dead_time": dead_samples * STEP_S}
-    assert values(found) == pytest.approx(expected, rel=1e-6)
-    assert found.benchmark.named_values() == pytest.approx(expected, rel=1e-6)
+    assert values(phase1) == pytest.approx(expected, rel=1e-6)
+    assert phase1.benchmark.named_values() == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize(("update_s", "determined"), [(0.02, True), (0.1, False)])
-def test_a_dead_time_may_be_shorter_by_the_interval_of_the_sensor(batch_of, update_s, determined):
-    found = identified(
+def test_a_dead_time_is_unsure_by_the_sensors_interval(batch_of, update_s, determined):
+    phase1 = identified(
         batch_of(plants(lag(15.0, 0.7), dead_samples=12.4)), LAG, dead_time=True, search=MultiStart(600)
     )
-    *others, widened = _within_update_interval(found, update_s).parameter_estimates
-    low, high = found.parameter_estimates[-1].interval
+    *others, widened = _within_update_interval(phase1, update_s).parameter_estimates
+    low, high = phase1.parameter_estimates[-1].interval
     assert widened.interval == pytest.approx((low - update_s, high))
     assert widened.determined == determined
     assert determined or "the sensor is updated every 0.1 s, by which it may be shorter" in widened.verdict
-    assert tuple(others) == found.parameter_estimates[:-1]
+    assert tuple(others) == phase1.parameter_estimates[:-1]
 
 
 class EndsInALocalMinimum(Search):
@@ -125,80 +117,38 @@ def test_a_dead_time_does_not_stand_for_the_lag_too(batch_of):
     rng = np.random.default_rng(0)
     commands = [np.repeat(rng.permutation([0.1, 1.0] * 5), 25) for _ in range(3)]
     tests = [(command, held(*fraction, shifted(command, 8))) for command in commands]
-    found = identified(batch_of(tests), SECOND_ORDER, dead_time=True, search=EndsInALocalMinimum())
+    phase1 = identified(batch_of(tests), SECOND_ORDER, dead_time=True, search=EndsInALocalMinimum())
     # The lag 2ξ/ω and the delay; a second-order lag at its bound of 1000 rad/s is a little less than one.
-    gain, omega, damping, dead_time = values(found).values()
+    gain, omega, damping, dead_time = values(phase1).values()
     assert (gain, 2 * damping / omega, dead_time) == pytest.approx((21.0, 0.15, 0.08), rel=0.01)
 
 
 def test_samples_at_an_end_stop_do_not_spoil_the_parameters(batch_of):
     tests = plants(lag(15.0, 0.7))
     stop = 0.6 * max(float(travel.max()) for _, travel in tests)
-    found = identified(batch_of(tests, end_stop=stop), LAG)
-    assert values(found) == pytest.approx({"gain": 15.0, "time_constant": 0.7}, rel=1e-6)
-
-
-def test_the_reported_error_is_the_root_mean_square_over_all_samples(batch_of):
-    tests = plants(second_order(21.0, 18.0, 0.3))
-    found = identified(batch_of(tests), LAG)
-    fraction = lag(*values(found).values())
-    misses = np.concatenate([held(*fraction, command) - travel for command, travel in tests])
-    assert found.rmse == pytest.approx(np.sqrt(np.mean(misses**2)), rel=1e-9)
-
-
-def chi_bounds(count):
-    """Return between what factors a standard deviation of `count` draws lies, but for 1 in 1000 cases."""
-    return np.sqrt(stats.chi2.ppf([0.0005, 0.9995], count - 1) / (count - 1))
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("tests", "start"), [(2, 80.0), (12, None)], ids=lambda each: str(each))
-def test_standard_errors_under_white_noise_are_the_scatter_over_repetitions(batch_of, tests, start):
-    # Where the start is not known, it is the mean of six noisy samples: one more error in every residual of
-    # a test, which takes more tests than parameters to show; two tests are cut into stretches.
-    made, found = plants(lag(15.0, 0.7), tests=tests), []
-    for seed in range(30):
-        batch = batch_of(made, noise=0.3, rng=np.random.default_rng(seed), start=start)
-        found.append(identified(batch, LAG, search=MultiStart(20, starts=1)))
-    least, most = chi_bounds(30)
-    for column, truth in enumerate((15.0, 0.7)):
-        estimates = [each.parameter_estimates[column] for each in found]
-        scatter = np.std([estimate.value for estimate in estimates], ddof=1)
-        reported = np.mean([estimate.error for estimate in estimates])
-        # The mean of standard errors of four or more degrees of freedom lies 6 % below their root mean
-        # square, and scatters over thirty of them by another 6 %.
-        assert least / 1.06 <= scatter / reported <= most * 1.12
-        middle = np.mean([estimate.value for estimate in estimates])
-        # 3.3 standard errors of the mean: 1 in 1000.
-        assert abs(middle - truth) <= 3.3 * scatter / np.sqrt(30)
+    phase1 = identified(batch_of(tests, end_stop=stop), LAG)
+    assert values(phase1) == pytest.approx({"gain": 15.0, "time_constant": 0.7}, rel=1e-6)
 
 
 def test_standard_errors_cover_plants_that_differ_from_test_to_test(batch_of):
     # The gain varies by 5 % from test to test: residuals of one test hang together, and one estimate from
     # eight tests scatters by what the textbook's white residuals would understate many times.
-    found, rng = [], np.random.default_rng(1)
+    estimates, rng = [], np.random.default_rng(1)
     tests = plants(([1.0], [1.0, 0.0]), tests=8)
     for _ in range(30):
         varied = [(command, 15.0 * (1 + 0.05 * rng.standard_normal()) * travel) for command, travel in tests]
         batch = batch_of(varied, noise=0.05, rng=rng)
-        found.append(identified(batch, INTEGRATOR, search=MultiStart(20, starts=1)).parameter_estimates[0])
-    scatter = np.std([estimate.value for estimate in found], ddof=1)
-    reported = np.sqrt(np.mean([estimate.error**2 for estimate in found]))
-    least, most = chi_bounds(30)
+        phase1 = identified(batch, INTEGRATOR, search=MultiStart(20, starts=1))
+        estimates.append(phase1.parameter_estimates[0])
+    scatter = np.std([estimate.value for estimate in estimates], ddof=1)
+    reported = np.sqrt(np.mean([estimate.error**2 for estimate in estimates]))
+    # Between these lies the standard deviation of thirty draws, but for 1 in 1000 cases.
+    least, most = np.sqrt(stats.chi2.ppf([0.0005, 0.9995], 29) / 29)
     # The mean square of 30 errors of 7 degrees of freedom each scatters by √(2/210) more.
     assert least / 1.2 <= scatter / reported <= most * 1.2
 
 
-def test_a_lag_without_end_is_at_its_upper_bound(batch_of):
-    found = identified(batch_of(plants(([15.0], [1.0, 0.0]))), LAG)
-    estimates = {estimate.name: estimate for estimate in found.parameter_estimates}
-    assert estimates["time_constant"].verdict.startswith("only K/τ is determined: τ > ")
-    assert estimates["time_constant"].interval[1] is None
-    assert estimates["gain"].verdict == "determined"
-    assert found.benchmark.named_values()["gain"] == pytest.approx(15.0, rel=0.01)
-
-
-def test_a_lag_far_longer_than_the_tests_is_not_called_determined(batch_of):
+def test_a_lag_far_beyond_the_tests_is_not_determined(batch_of):
     # With τ = 500 s a test of 2.5 s bends by K u t²/2τ ≈ 0.05 mm, below the 0.1 mm by which the start, a mean
     # of six samples, is uncertain: a standard error of 1/τ of more than 1/τ itself. That an estimate lies two
     # standard errors out, which is 50 % of itself, has probability 0.023 for a normal distribution and 0.12
@@ -207,8 +157,8 @@ def test_a_lag_far_longer_than_the_tests_is_not_called_determined(batch_of):
     called = []
     for seed in range(10):
         batch = batch_of(tests, noise=0.3, rng=np.random.default_rng(seed))
-        found = identified(batch, LAG, search=MultiStart(evaluations=60))
-        called.append(found.parameter_estimates[1].determined)
+        phase1 = identified(batch, LAG, search=MultiStart(evaluations=60))
+        called.append(phase1.parameter_estimates[1].determined)
     assert called.count(True) <= 3
 
 
@@ -216,9 +166,9 @@ def test_a_lag_far_longer_than_the_tests_is_not_called_determined(batch_of):
     ("bounds", "verdict"),
     [((1.0, 2.0), "at its lower bound: "), ((0.1, 0.5), "at its upper bound: "), ((0.5, 1.0), "determined")],
 )
-def test_bounds_are_kept_and_a_parameter_at_one_is_said_to_be(batch_of, bounds, verdict):
-    found = identified(batch_of(plants(lag(15.0, 0.7))), LAG, bounds={"time_constant": bounds})
-    estimate = found.parameter_estimates[1]
+def test_bounds_are_kept_and_named_in_the_verdict(batch_of, bounds, verdict):
+    phase1 = identified(batch_of(plants(lag(15.0, 0.7))), LAG, bounds={"time_constant": bounds})
+    estimate = phase1.parameter_estimates[1]
     assert (estimate.lower, estimate.upper) == pytest.approx(bounds)
     assert bounds[0] <= estimate.value * (1 + 1e-12)
     assert estimate.value <= bounds[1] * (1 + 1e-12)
@@ -228,20 +178,18 @@ def test_bounds_are_kept_and_a_parameter_at_one_is_said_to_be(batch_of, bounds, 
 
 
 @pytest.mark.parametrize(
-    ("bounds", "complaint"),
+    ("bounds", "message"),
     [
         ({"tau": (0.1, 1.0)}, "no parameter 'tau'; expected one of gain, time_constant"),
         ({"dead_time": (0.1, 1.0)}, "no parameter 'dead_time'"),
         ({"gain": (2.0, 1.0)}, "'gain': expected 0 < lower < upper, got 2 and 1"),
-        ({"gain": (1.0, 1.0)}, "expected 0 < lower < upper"),
         ({"gain": (0.0, 1.0)}, "expected 0 < lower < upper"),
-        ({"gain": (-1.0, 1.0)}, "expected 0 < lower < upper"),
         ({"gain": (1.0, float("inf"))}, "expected 0 < lower < upper"),
         ({"gain": (float("nan"), 1.0)}, "expected 0 < lower < upper"),
     ],
 )
-def test_bounds_that_make_no_sense_are_refused(batch_of, bounds, complaint):
-    with pytest.raises(InputError, match=complaint):
+def test_bounds_that_make_no_sense_are_refused(batch_of, bounds, message):
+    with pytest.raises(InputError, match=message):
         identified(batch_of(plants(lag(15.0, 0.7))), LAG, bounds=bounds)
 
 
@@ -268,71 +216,55 @@ def sloping(slope, factors, *, gain=15.0):
     return tests
 
 
-def half_range(batch):
-    """Return half of the range of displacement, in which a slope is measured, mm."""
-    return 0.5 * float(np.ptp(np.asarray(batch.displacement)[np.asarray(batch.loss_mask)]))
-
-
-@pytest.mark.parametrize(("slope", "seed"), [(0.015, 0), (-0.01, 1)])
-def test_a_slope_is_found_again_although_tests_are_faster_or_slower(batch_of, slope, seed):
-    rng = np.random.default_rng(seed)
+@pytest.mark.parametrize("slope", [0.015, 0.0, -0.01])
+def test_a_slope_is_found_again_although_tests_differ(batch_of, slope):
+    rng = np.random.default_rng(0)
     tests = sloping(slope, 1 + 0.03 * rng.choice([-1.0, 1.0], 8))
     batch = batch_of(tests, noise=0.02, rng=rng, start=80.0)
+    # A slope is measured in half of the range of displacement, mm.
+    half_range = 0.5 * float(np.ptp(np.asarray(batch.displacement)[np.asarray(batch.loss_mask)]))
     estimates = identified(batch, INTEGRATOR, stroke_gain_linear=True).parameter_estimates
-    (estimate,) = (each for each in estimates if each.name == "position_slope")
+    (estimate,) = (quantity for quantity in estimates if quantity.name == "position_slope")
     # Noise of 0.02 mm at 2000 samples of some 15 mm of travel: the slope is known to a hundredth.
-    assert estimate.error < 0.05 * abs(slope) * half_range(batch)
+    assert estimate.error < 0.05 * (abs(slope) or 0.01) * half_range
     # Four standard errors: 1 in 16000 for each.
-    assert abs(estimate.value - slope * half_range(batch)) <= 4 * estimate.error
+    assert abs(estimate.value - slope * half_range) <= 4 * estimate.error
     assert estimate.verdict == "determined"
 
 
-def test_the_gain_beside_a_slope_is_that_which_fits_all_tests_together(batch_of):
+def test_the_gain_beside_a_slope_fits_all_tests_together(batch_of):
     tests = sloping(0.015, 1 + 0.03 * np.array([-1.0, 1.0, 1.0, 1.0, -1.0, 1.0]))
     batch = batch_of(tests, start=80.0)
-    found = identified(batch, INTEGRATOR, stroke_gain_linear=True)
+    phase1 = identified(batch, INTEGRATOR, stroke_gain_linear=True)
     pooled = Objective.of(batch, ModelSpec(INTEGRATOR, stroke_gain_linear=True)).pooled()
-    gain, slope = (estimate.value for estimate in found.parameter_estimates)
+    gain, slope = (estimate.value for estimate in phase1.parameter_estimates)
 
     def rmse(factor):
         return float(pooled(jnp.asarray(pooled.position(np.array([factor * gain, slope])))[None])[0])
 
-    assert rmse(1.0) == pytest.approx(found.rmse, rel=1e-9)
+    assert rmse(1.0) == pytest.approx(phase1.rmse, rel=1e-9)
     # No gain a hundredth larger or smaller fits better, and none fits tests that differ by 6 %.
     assert rmse(1.0) < min(rmse(0.99), rmse(1.01))
-    assert found.rmse > 0.01 * float(np.abs(tests[0][1]).max())
+    assert phase1.rmse > 0.01 * float(np.abs(tests[0][1]).max())
 
 
-def test_where_tests_are_alike_and_nothing_slopes_a_factor_of_their_own_changes_nothing(batch_of):
-    batch = batch_of(sloping(0.0, np.ones(5)), start=80.0)
-    plain, sloped = (identified(batch, INTEGRATOR, stroke_gain_linear=slope) for slope in (False, True))
-    assert values(plain)["gain"] == pytest.approx(15.0, rel=1e-6)
-    assert values(sloped) == {
-        "gain": pytest.approx(15.0, rel=1e-6),
-        "position_slope": pytest.approx(0.0, abs=1e-6),
-    }
-    # Rounding of displacements of 80 mm and of sums over 250 samples.
-    assert max(plain.rmse, sloped.rmse) <= 250 * np.finfo(float).eps * 100.0
-
-
-def test_only_a_slope_sets_tests_apart_and_only_where_tests_are_four_more_than_parameters(batch_of):
+def test_only_a_slope_sets_enough_tests_apart(batch_of):
     made = plants(lag(15.0, 0.7), tests=6)
-    batch = batch_of(made)
-    assert Objective.of(batch, ModelSpec(INTEGRATOR, stroke_gain_linear=True)).per_test_gain
-    assert not Objective.of(batch_of(made[:5]), ModelSpec(INTEGRATOR, stroke_gain_linear=True)).per_test_gain
-    assert not Objective.of(batch, ModelSpec(INTEGRATOR, stroke_gain_linear=True)).pooled().per_test_gain
+    batch, sloped = batch_of(made), ModelSpec(INTEGRATOR, stroke_gain_linear=True)
+    assert Objective.of(batch, sloped).per_test_gain
+    assert not Objective.of(batch_of(made[:5]), sloped).per_test_gain
+    assert not Objective.of(batch, sloped).pooled().per_test_gain
     assert not Objective.of(batch, ModelSpec(INTEGRATOR)).per_test_gain
     assert not Objective.of(batch, ModelSpec(INTEGRATOR, stroke_gain_quadratic=True)).per_test_gain
 
 
 @given(seed=st.integers(0, 2**16), size=st.floats(-2.0, 3.0), other=st.floats(-5.0, 5.0))
-def test_misses_apart_are_those_of_the_best_factor_of_each_test(seed, size, other):
+def test_misses_apart_are_those_of_the_best_factors(seed, size, other):
     rng = np.random.default_rng(seed)
     measured = np.concatenate([np.zeros((3, 1)), rng.normal(size=(3, 20))], axis=1)
     travel = size * measured + np.concatenate([np.zeros((3, 1)), rng.normal(size=(3, 20))], axis=1)
-    found = np.sum(
-        np.asarray(_per_test_gain_residuals(jnp.asarray(travel), jnp.asarray(measured))) ** 2, axis=1
-    )
+    residuals = np.asarray(_per_test_gain_residuals(jnp.asarray(travel), jnp.asarray(measured)))
+    squares = np.sum(residuals**2, axis=1)
     moved = np.sum(measured**2, axis=1)
     held = GAIN_RIDGE * (moved + RIDGE_FLOOR * moved.mean())
 
@@ -342,31 +274,14 @@ def test_misses_apart_are_those_of_the_best_factor_of_each_test(seed, size, othe
     best = (np.sum(travel * measured, axis=1) + held) / (np.sum(travel**2, axis=1) + held)
     rounding = 1e-12 * np.sum(measured**2 + travel**2, axis=1)
     exact = np.sum((best[:, None] * travel - measured) ** 2, axis=1) + held * (best - 1) ** 2
-    np.testing.assert_allclose(found, exact, rtol=0, atol=rounding.max())
-    assert np.all(found <= objective(other) + rounding * (1 + other**2))
+    np.testing.assert_allclose(squares, exact, rtol=0, atol=rounding.max())
+    assert np.all(squares <= objective(other) + rounding * (1 + other**2))
 
 
-def test_a_test_that_is_only_faster_misses_by_what_ties_its_factor():
-    """With y = f ŷ and s = f (1 + ρ f)/(1 + ρ f²) all that is left is ρ y·y (s − 1)² and (s − f)² ŷ·ŷ."""
-    travel, factor = np.linspace(0.0, 10.0, 50)[None], 1.03
-    measured = factor * travel
-    squares = float(
-        np.sum(np.asarray(_per_test_gain_residuals(jnp.asarray(travel), jnp.asarray(measured))) ** 2)
-    )
-    tied = GAIN_RIDGE * (1 + RIDGE_FLOOR) * factor**2
-    own = (factor + tied) / (1 + tied)
-    expected = ((own - factor) ** 2 + tied * (own - 1) ** 2) * float(np.sum(travel**2))
-    assert squares == pytest.approx(expected, rel=1e-9)
-    assert squares < 0.02 * float(np.sum((travel - measured) ** 2))
-
-
-@pytest.mark.parametrize(
-    ("structure", "slope"), [pytest.param(SECOND_ORDER, False, marks=pytest.mark.long), (INTEGRATOR, True)]
-)
-def test_tests_that_fill_up_a_batch_change_nothing(batch_of, structure, slope):
+def test_tests_that_fill_up_a_batch_change_nothing(batch_of):
     """Five tests are laid beside three that count nowhere, so that five to eight compile once."""
     batch = batch_of(plants(second_order(21.0, 18.0, 0.3), tests=5), noise=0.1, rng=np.random.default_rng(3))
-    misfit = Objective.of(batch, ModelSpec(structure, stroke_gain_linear=slope))
+    misfit = Objective.of(batch, ModelSpec(INTEGRATOR, stroke_gain_linear=True))
     position = np.full(len(misfit.spec.parameters), 0.4)
     residuals, test = misfit.errors(position)
     assert misfit.with_data(batch.pad_batch()).batch.command.shape[0] == 8

@@ -24,6 +24,7 @@ from truth import levels
 SAMPLES = 250
 UNITS = {"x": "mm", "u": "A"}
 PLAIN = ModelSpec(structure_named("integrator-second-order"))
+CURVED, CURVED_VALUES = replace(PLAIN, valve_curve=True), [20.0, 15.0, 0.8, 0.05, 2.0, 0.6]
 SEARCH = MultiStart(evaluations=60)
 SCALES = Scales(*(jnp.asarray(scale) for scale in (1.0, 90.0, 40.0)))
 
@@ -46,45 +47,41 @@ def simulated(make_record, form, values, *, noise=0.02, tests=8, dead_zone=0.0):
 
 def test_a_linear_plant_keeps_its_transfer_function(make_record):
     batch = simulated(make_record, PLAIN, [20.0, 15.0, 0.8])
-    found, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
+    phase1, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
     assert tried[0].name == "transfer function"
-    assert found.benchmark.nonlinearity is None
+    assert phase1.benchmark.nonlinearity is None
     # Noise of 0.02 mm over two thousand samples.
     assert tried[0].held_out_rmse == pytest.approx(0.02, rel=0.1)
-    assert [each.chosen for each in tried] == [True] + [False] * (len(tried) - 1)
+    assert [form.chosen for form in tried] == [True] + [False] * (len(tried) - 1)
     # Nested forms fit no worse, but that a spool lags by 1 ms at least, at 20 mm/s.
-    for each in tried:
-        lags = 0.02 if each.spec.spool_dynamics else 0.0
-        assert each.rmse <= np.hypot(tried[0].rmse * (1 + 1e-6), lags)
+    for form in tried:
+        lags = 0.02 if form.spec.spool_dynamics else 0.0
+        assert form.rmse <= np.hypot(tried[0].rmse * (1 + 1e-6), lags)
 
 
 def test_a_valve_curve_is_found_where_there_is_one(make_record):
-    curved = ModelSpec(structure_named("integrator-second-order"), valve_curve=True)
-    values = [20.0, 15.0, 0.8, 0.05, 2.0, 0.6]
-    batch = simulated(make_record, curved, values)
-    found, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
-    named = {each.name: each for each in tried}
+    batch = simulated(make_record, CURVED, CURVED_VALUES)
+    phase1, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
+    named = {form.name: form for form in tried}
     assert named["with valve curve"].held_out_rmse < 0.1 * named["transfer function"].held_out_rmse
-    assert found.benchmark.nonlinearity is not None
-    assert found.rmse == pytest.approx(0.02, rel=0.1)
+    assert phase1.benchmark.nonlinearity is not None
+    assert phase1.rmse == pytest.approx(0.02, rel=0.1)
     command = jnp.linspace(0.2, 0.9, 30)[None]
-    true = curved.physical_model(jnp.asarray(values), SCALES)
-    speeds = [each.values[0] * each.nonlinearity.flow(command) for each in (found.benchmark, true)]
+    true = CURVED.physical_model(jnp.asarray(CURVED_VALUES), SCALES)
+    speeds = [model.values[0] * model.nonlinearity.flow(command) for model in (phase1.benchmark, true)]
     np.testing.assert_allclose(*speeds, rtol=0.02)
 
 
-@pytest.mark.parametrize("revised", [True, False])
-def test_a_dead_zone_that_is_too_large_for_a_valve_curve_is_found_anew(make_record, revised):
-    curved = ModelSpec(structure_named("integrator-second-order"), valve_curve=True)
-    batch = simulated(make_record, curved, [20.0, 15.0, 0.8, 0.05, 2.0, 0.6], dead_zone=0.1)
-    found, tried = choose_spec(
-        batch.with_dead_zone(0.4), AutoStructure(PLAIN), SEARCH, 0, units=UNITS, revised=revised
+def test_a_dead_zone_too_large_is_found_anew(make_record):
+    batch = simulated(make_record, CURVED, CURVED_VALUES, dead_zone=0.1)
+    phase1, tried = choose_spec(
+        batch.with_dead_zone(0.4), AutoStructure(PLAIN), SEARCH, 0, units=UNITS, revised=True
     )
-    (taken,) = (each for each in tried if each.chosen)
-    assert [each.dead_zone for each in tried[:2]] == [0.4, 0.4]
-    assert (taken.dead_zone < 0.4) == revised
+    (taken,) = (form for form in tried if form.chosen)
+    assert [form.dead_zone for form in tried[:2]] == [0.4, 0.4]
+    assert taken.dead_zone < 0.4
     # Noise of 0.02 mm; with 0.4 A some of the way is driven by commands that count as none.
-    assert (found.rmse < 0.03) == revised
+    assert phase1.rmse < 0.03
 
 
 def test_folds_hold_out_levels_between_the_extremes(make_record):
@@ -98,32 +95,31 @@ def test_folds_hold_out_levels_between_the_extremes(make_record):
 
 def test_tests_of_one_level_leave_the_plain_form(make_record):
     batch = simulated(make_record, PLAIN, [20.0, 15.0, 0.8], tests=1)
-    found, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
+    phase1, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
     assert tried == ()
-    assert found.benchmark.nonlinearity is None
+    assert phase1.benchmark.nonlinearity is None
 
 
-def test_a_hysteresis_is_found_where_there_is_one_and_its_width_told(make_record):
-    played = ModelSpec(structure_named("integrator-second-order"), valve_curve=True, spool_dynamics=True)
-    true = dict(zip((p.name for p in played.parameters), PLAYED, strict=True))
-    batch = simulated(make_record, played, PLAYED, dead_zone=0.3)
-    found, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
-    named = {each.name: each for each in tried}
+def test_a_hysteresis_is_found_with_its_width(make_record):
+    played = replace(CURVED, spool_dynamics=True)
+    values = [20.0, 15.0, 0.8, 0.02, 1.3, 1.5, 0.3, 0.02]
+    true = dict(zip((p.name for p in played.parameters), values, strict=True))
+    batch = simulated(make_record, played, values, dead_zone=0.3)
+    phase1, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
+    named = {form.name: form for form in tried}
     with_play, without = (named[name] for name in ("with spool lag and hysteresis", "with valve curve"))
     assert better_on_held_out_tests(with_play.held_out, without.held_out)
     assert with_play.held_out_rmse == pytest.approx(np.sqrt(np.mean(with_play.held_out**2)), rel=1e-15)
     assert with_play.held_out_rmse < 0.5 * without.held_out_rmse
-    assert found.rmse == pytest.approx(0.02, rel=0.1)
-    (told,) = (each for each in found.assessment.derived if each.name == "width of the hysteresis")
-    width, unit = told.value, told.unit
-    (error,) = (each.error for each in found.parameter_estimates if each.name == "hysteresis")
-    assert unit == "A"
+    assert phase1.rmse == pytest.approx(0.02, rel=0.1)
+    (width,) = (
+        quantity for quantity in phase1.assessment.derived if quantity.name == "width of the hysteresis"
+    )
+    (error,) = (estimate.error for estimate in phase1.parameter_estimates if estimate.name == "hysteresis")
+    assert width.unit == "A"
     # Three standard errors, which are a tenth of the width at most.
-    assert 3 * error * 0.3 < 0.1 * width
-    assert width == pytest.approx(0.3 * true["hysteresis"], abs=3 * error * 0.3)
-
-
-PLAYED = [20.0, 15.0, 0.8, 0.02, 1.3, 1.5, 0.3, 0.02]
+    assert 3 * error * 0.3 < 0.1 * width.value
+    assert width.value == pytest.approx(0.3 * true["hysteresis"], abs=3 * error * 0.3)
 
 
 def test_the_settings_file_asks_for_a_choice_or_for_curves(tmp_path):
@@ -134,13 +130,8 @@ def test_the_settings_file_asks_for_a_choice_or_for_curves(tmp_path):
     )
     forms = read_settings(path).get("structure", {})
     assert forms["lifting"] == AutoStructure(PLAIN, covariate_names=("pressure",))
-    assert forms["lowering"] == ModelSpec(
-        structure_named("first-order-lag"), valve_curve=True, spool_dynamics=True
-    )
-
-
-def test_where_nothing_is_asked_for_the_form_is_chosen(tmp_path):
-    path = tmp_path / "settings.toml"
+    lag = structure_named("first-order-lag")
+    assert forms["lowering"] == ModelSpec(lag, valve_curve=True, spool_dynamics=True)
     path.write_text("")
     assert read_settings(path).get("structure") == dict(DEFAULT_STRUCTURES)
     # A choice starts from what stands still without a command.
@@ -149,17 +140,16 @@ def test_where_nothing_is_asked_for_the_form_is_chosen(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("asked", "decided"),
+    ("keys", "decided"),
     [
         ("curve = true", "curve"),
-        ("dead_time = true\nspool = true", "dead_time and spool"),
+        ('structure = "automatic"\ndead_time = true\nspool = true', "dead_time and spool"),
         ("bounds = { gain = [1.0, 2.0] }", "bounds"),
     ],
 )
-@pytest.mark.parametrize("structure", ['structure = "automatic"\n', ""])
-def test_a_choice_does_not_go_with_what_it_decides_itself(tmp_path, structure, asked, decided):
+def test_a_choice_does_not_go_with_what_it_decides_itself(tmp_path, keys, decided):
     path = tmp_path / "settings.toml"
-    path.write_text(f"[lifting]\n{structure}{asked}\n")
+    path.write_text(f"[lifting]\n{keys}\n")
     with pytest.raises(SettingsError, match=f"lifting: .*'automatic'.*{decided}"):
         read_settings(path)
 
@@ -168,20 +158,14 @@ def loaded(make_record, *, tests=12):
     """Return tests: speed follows a pressure, damping an oil temperature, and a flow changes nothing."""
     rng = np.random.default_rng(8)
     names = ("flow", "oil", "pressure")
-    covariates = dict(
-        zip(names, rng.uniform((1.0, 5.0, 60.0), (9.0, 70.0, 140.0), (tests, 3)).T, strict=True)
-    )
-    effects = {"pressure": {"gain": 0.2}, "oil": {"damping_ratio": -0.6}}
+    rows = rng.uniform((1.0, 5.0, 60.0), (9.0, 70.0, 140.0), (tests, 3)).T
+    covariates = dict(zip(names, rows, strict=True))
     commands = [level * levels(rng, SAMPLES, low=0.6) for level in np.linspace(0.4, 1.0, tests)]
     scaled = {name: (rows - rows.mean()) / rows.std() for name, rows in covariates.items()}
     records = []
     for number, command in enumerate(commands):
-        changes = {
-            quantity: change * scaled[name][number]
-            for name, quantities in effects.items()
-            for quantity, change in quantities.items()
-        }
-        values = [20.0 * np.exp(changes["gain"]), 15.0, 0.4 * np.exp(changes["damping_ratio"])]
+        gain, damping_ratio = 0.2 * scaled["pressure"][number], -0.6 * scaled["oil"][number]
+        values = [20.0 * np.exp(gain), 15.0, 0.4 * np.exp(damping_ratio)]
         still = make_record(np.full(SAMPLES, 80.0), command)
         batch = Batch.of([still], LIFTING, dead_zone=0.0, sign=1)
         travel = np.asarray(PLAIN.physical_model(jnp.asarray(values), SCALES).travel(batch))[0, :SAMPLES]
@@ -193,19 +177,19 @@ def loaded(make_record, *, tests=12):
 
 
 @pytest.mark.long
-def test_covariates_are_kept_where_they_change_something_and_what_they_change_is_found(make_record):
+def test_covariates_are_kept_where_they_change_something(make_record):
     batch = loaded(make_record)
     auto = AutoStructure(PLAIN, batch.covariate_names)
-    found, tried = choose_spec(batch, auto, SEARCH, 0, units=UNITS)
-    (chosen,) = (each for each in tried if each.chosen)
+    phase1, tried = choose_spec(batch, auto, SEARCH, 0, units=UNITS)
+    (chosen,) = (form for form in tried if form.chosen)
     assert set(chosen.spec.covariate_names) == {"pressure", "oil"}
-    assert {name for each in tried for name in each.spec.covariate_names} == {"flow", "oil", "pressure"}
-    named = {each.name: each for each in found.parameter_estimates}
+    assert {name for form in tried for name in form.spec.covariate_names} == {"flow", "oil", "pressure"}
+    named = {estimate.name: estimate for estimate in phase1.parameter_estimates}
     # Noise of 0.02 mm on 60 mm of travel is 1e-4 of the speed; the curves of the valve take a part.
     assert named["gain_by_pressure"].value == pytest.approx(0.2, rel=0.01)
     assert named["damping_ratio_by_oil"].value == pytest.approx(-0.6, rel=0.05)
     # Noise of 0.02 mm; without the covariates a speed that differs by 20 % from test to test.
-    assert found.rmse == pytest.approx(0.02, rel=0.1)
+    assert phase1.rmse == pytest.approx(0.02, rel=0.1)
     assert tried[0].held_out_rmse > 1.0
 
 
@@ -225,15 +209,14 @@ def test_a_covariate_taken_before_is_widened_once_another_is_known():
     def fit(base, specs):
         return [candidate(name, spec) for name, spec in specs]
 
-    found = covariate_candidates([candidate("plain", PLAIN)], ["oil", "pressure"], fit)
-    best = found[best_candidate(found)].spec
-    assert {each.covariate: each.quadratic for each in best.covariates} == {"pressure": True, "oil": False}
-    assert len({each.spec for each in found}) == len(found)
+    candidates = covariate_candidates([candidate("plain", PLAIN)], ["oil", "pressure"], fit)
+    best = candidates[best_candidate(candidates)].spec
+    quadratic = {effects.covariate: effects.quadratic for effects in best.covariates}
+    assert quadratic == {"pressure": True, "oil": False}
+    assert len({form.spec for form in candidates}) == len(candidates)
 
 
 def test_a_covariate_with_all_effects_has_no_larger_form():
-    largest = ModelSpec(
-        structure_named("integrator-second-order"), covariates=(CovariateEffects("oil", True, True),)
-    )
+    largest = replace(PLAIN, covariates=(CovariateEffects("oil", True, True),))
     assert covariate_specs(largest, "oil") == []
     assert len(covariate_specs(largest, "pressure")) == 3

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -24,20 +23,20 @@ BENCHMARK = PhysicalModel(structure_named("integrator"), jnp.array([GAIN]), jnp.
 
 def along_the_stroke(command, start):
     """Return the displacement of dx/dt = K u (1.3 − 0.6 (x − 60)/60), exact from sample to sample."""
-    slope, place, found = -0.6 / 60, start, []
+    slope, position, displacement = -0.6 / 60, start, []
     for u in command:
-        found.append(place)
+        displacement.append(position)
         rate = GAIN * u * slope
-        speed = GAIN * u * (1.3 + slope * (place - 60.0))
-        place += speed * (np.expm1(rate * STEP_S) / rate if rate else STEP_S)
-    return np.array(found)
+        speed = GAIN * u * (1.3 + slope * (position - 60.0))
+        position += speed * (np.expm1(rate * STEP_S) / rate if rate else STEP_S)
+    return np.array(displacement)
 
 
 def integrating(command, start):
     return start + STEP_S * GAIN * (np.cumsum(command) - command)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def tests_of(make_record):
     """Return a function that gives tests of a plant with noise, each around its own level."""
 
@@ -53,17 +52,20 @@ def tests_of(make_record):
     return make
 
 
-def trained(batch, *, seed=0, settings=SETTINGS, covered=None):
+def trained(batch, *, seed=0, covered=None):
     tests = batch.command.shape[0]
     channel = Channel(
         LIFTING, 1, 0.0, None, BENCHMARK, operating_range=covered or operating_range_of(batch, ())
     )
     held_out = tuple(HeldOut(fold, channel) for fold in folds_of(tests))
-    return channel, train_speed_compensator(channel, held_out, batch, settings, seed)
+    return channel, train_speed_compensator(channel, held_out, batch, SETTINGS, seed)
 
 
-def with_displacement(batch, displacement):
-    return eqx.tree_at(lambda each: each.displacement, batch, displacement)
+@pytest.fixture(scope="module")
+def learnt(tests_of):
+    """Return tests of which the benchmark misses a part, its channel, and what training makes of them."""
+    batch = tests_of(along_the_stroke)
+    return batch, *trained(batch)
 
 
 def free_run_errors(batch, displacement):
@@ -72,8 +74,8 @@ def free_run_errors(batch, displacement):
     return np.sqrt([np.mean(row[counts] ** 2) for row, counts in zip(errors, counted, strict=True)])
 
 
-def test_a_speed_that_the_benchmark_misses_is_learnt_and_ships(tests_of):
-    channel, judged = trained(tests_of(along_the_stroke))
+def test_a_speed_that_the_benchmark_misses_is_learnt_and_ships(learnt, tests_of):
+    _, channel, judged = learnt
     test = judged.holdout_test
     assert test.accepted
     # What is missed is up to 30 % of the speed; three quarters of the error are gone on unseen tests.
@@ -102,9 +104,8 @@ def test_where_the_benchmark_is_the_truth_nothing_ships(tests_of):
     assert np.mean(judged.holdout_test.benchmark) == pytest.approx(NOISE * np.sqrt(1 + 1 / 6), rel=0.1)
 
 
-def test_what_is_judged_is_what_ships_fitted_to_the_other_tests(tests_of):
-    batch = tests_of(along_the_stroke)
-    channel, judged = trained(batch)
+def test_what_is_judged_is_what_ships(learnt):
+    batch, channel, judged = learnt
     np.testing.assert_allclose(
         judged.holdout_test.benchmark, free_run_errors(batch, channel.simulate(batch)), rtol=1e-9
     )
@@ -114,25 +115,23 @@ def test_what_is_judged_is_what_ships_fitted_to_the_other_tests(tests_of):
         np.testing.assert_allclose(judged.holdout_test.compensated[fold], errors[fold], rtol=1e-9)
 
 
-def test_samples_that_do_not_count_are_neither_learnt_nor_judged(tests_of):
-    batch = tests_of(along_the_stroke)
+def test_samples_that_do_not_count_are_neither_learnt_nor_judged(learnt):
+    batch = learnt[0]
     early = batch.masked(jnp.broadcast_to(jnp.arange(batch.command.shape[1]) < 150, batch.loss_mask.shape))
-    spoilt = with_displacement(early, jnp.where(early.loss_mask, early.displacement, 1e3))
-    tests = [trained(each)[1].holdout_test for each in (early, spoilt)]
+    spoilt = replace(early, displacement=jnp.where(early.loss_mask, early.displacement, 1e3))
+    tests = [trained(batch)[1].holdout_test for batch in (early, spoilt)]
     np.testing.assert_array_equal(tests[0].benchmark, tests[1].benchmark)
     np.testing.assert_array_equal(tests[0].compensated, tests[1].compensated)
 
 
-def test_a_test_changes_nothing_in_what_it_is_judged_by(tests_of):
-    batch = tests_of(along_the_stroke)
-    covered = operating_range_of(batch, ())
-    first = trained(batch, covered=covered)[1].held_out[0]
+def test_a_test_changes_nothing_in_what_it_is_judged_by(learnt):
+    batch, channel, judged = learnt
+    first = judged.held_out[0]
     assert first.tests[0]
-    changed = with_displacement(batch, batch.displacement.at[0, 50:].add(0.1))
-    second = trained(changed, covered=covered)[1].held_out[0]
+    changed = replace(batch, displacement=batch.displacement.at[0, 50:].add(0.1))
+    second = trained(changed, covered=channel.operating_range)[1].held_out[0]
     networks = [fold.channel.speed_compensator.networks for fold in (first, second)]
-    for one, other in zip(*map(jax.tree.leaves, networks), strict=True):
-        np.testing.assert_array_equal(one, other)
+    assert eqx.tree_equal(*networks)
 
 
 @pytest.mark.parametrize("tests", [1, 2])
@@ -143,9 +142,8 @@ def test_too_few_tests_train_nothing_and_say_so(tests_of, tests):
     assert judged.holdout_test.sentence == "no network correction in free run: cross-validation needs 3 tests"
 
 
-def test_one_seed_twice_gives_the_same_weights_and_another_does_not(tests_of):
-    batch = tests_of(along_the_stroke)
-    one, two, three = (trained(batch, seed=seed)[1].compensator for seed in (3, 3, 4))
-    for ours, theirs in zip(*(jax.tree.leaves(each) for each in (one, two)), strict=True):
-        np.testing.assert_array_equal(ours, theirs)
-    assert np.any(one.networks.biases != three.networks.biases)
+def test_one_seed_gives_the_same_weights_and_another_does_not(learnt):
+    batch, _, judged = learnt
+    again, other = (trained(batch, seed=seed)[1].compensator for seed in (0, 4))
+    assert eqx.tree_equal(judged.compensator, again)
+    assert np.any(again.networks.biases != other.networks.biases)

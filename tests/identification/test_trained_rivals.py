@@ -49,7 +49,7 @@ def test_a_model_has_the_rivals_that_cost_little(quick, campaign):
 
 
 @pytest.mark.long
-def test_rivals_are_trained_beside_a_model_that_stays_as_it_is(quick, trained, campaign, tmp_path):
+def test_rivals_are_trained_beside_an_unchanged_model(quick, trained, campaign, tmp_path):
     hitchid.save(quick, tmp_path / "quick")
     hitchid.save(trained, tmp_path / "trained")
     for name in ("model.json", "weights.safetensors"):

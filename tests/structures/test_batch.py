@@ -54,46 +54,42 @@ def test_a_longer_neighbour_changes_nothing(records):
         np.testing.assert_allclose(response[row, :size], lonely, rtol=0, atol=size * EPS * lonely.max())
 
 
-def test_padding_is_neither_valid_nor_counted(records):
-    batch = laid(records)
-    for row, record in enumerate(records):
-        np.testing.assert_array_equal(batch.valid[row], np.arange(512) < len(record))
-        np.testing.assert_array_equal(batch.loss_mask[row], np.arange(512) < len(record))
-        assert not np.any(batch.command[row, len(record) :])
-
-
-def test_a_batch_holds_the_command_beyond_the_dead_zone_and_the_measured_displacement(records):
+def test_a_batch_holds_effective_command_and_displacement(records):
     batch = laid(records)
     for row, record in enumerate(records):
         beyond = np.maximum(record.command(LIFTING) - 0.2, 0.0)
         np.testing.assert_array_equal(batch.command[row, : len(record)], beyond)
         np.testing.assert_array_equal(batch.displacement[row, : len(record)], record.displacement)
         np.testing.assert_array_equal(batch.raw_command[row, : len(record)], record.command(LIFTING))
+        # Padding is neither valid nor counted.
+        for name in ("valid", "loss_mask"):
+            np.testing.assert_array_equal(getattr(batch, name)[row], np.arange(512) < len(record))
+        assert not np.any(batch.command[row, len(record) :])
     np.testing.assert_array_equal(batch.dead_zone, [0.2, 0.2, 0.2])
     assert batch.step_s == STEP_S
 
 
 def test_the_second_input_counts_as_its_mean_before_motion(records):
     # From each record's first effective command on, the second input is something else.
-    told = []
+    means = []
     for level, record in zip((3.0, -7.0, 120.0), records, strict=True):
         moving = int(np.flatnonzero(record.command(LIFTING) > 0.2)[0])
         wobble = np.where(np.arange(len(record)) % 2 == 0, 0.5, -0.5)
         pressure = np.where(np.arange(len(record)) <= moving, level + wobble, 1e6)
-        told.append(level + wobble[: min(moving + 1, 50)].mean())
+        means.append(level + wobble[: min(moving + 1, 50)].mean())
         signals = {**record.signals, "pressure": pressure}
         records[records.index(record)] = replace(
             record, signals=signals, units={**record.units, "pressure": "bar"}
         )
     batch = laid(records, covariates=["pressure"])
     assert batch.covariates.shape == (3, 1)
-    np.testing.assert_allclose(batch.load(["pressure"])[:, 0], told, rtol=1e-12)
+    np.testing.assert_allclose(batch.load(["pressure"])[:, 0], means, rtol=1e-12)
     assert laid(records).covariates.shape == (3, 0)
     np.testing.assert_array_equal(laid(records).load([]), np.zeros((3, 1)))
 
 
-@pytest.mark.parametrize("most", [100, 171, 256, 512, 4096])
-def test_a_thinned_batch_keeps_the_integral_of_every_command_and_the_start(records, most):
+@pytest.mark.parametrize("most", [100, 171, 512])
+def test_a_thinned_batch_keeps_the_integral_of_commands(records, most):
     batch = laid(records, end_stop=60.0)
     thin = batch.decimate(most)
     count = thin.command.shape[1]
@@ -118,13 +114,13 @@ def test_a_thinned_batch_keeps_the_integral_of_every_command_and_the_start(recor
     assert thin.sign == batch.sign
 
 
-def test_an_integrator_answers_a_thinned_batch_at_its_samples_as_the_whole_one(records):
+def test_an_integrator_answers_a_thinned_batch_exactly(records):
     """∫u dt at the coarse samples is the same sum, so that K/s has not lost anything."""
     model = PhysicalModel(structure_named("integrator"), jnp.array([21.0]), jnp.asarray(0.0))
     batch = laid(records)
-    found = np.asarray(model.travel(batch.decimate(128)))
+    computed = np.asarray(model.travel(batch.decimate(128)))
     whole = np.asarray(model.travel(batch))[:, ::4]
-    np.testing.assert_allclose(found, whole, rtol=0, atol=512 * EPS * whole.max())
+    np.testing.assert_allclose(computed, whole, rtol=0, atol=512 * EPS * whole.max())
 
 
 @pytest.mark.parametrize(("tests", "samples"), [(3, 512), (64, 512), (128, 256), (400, 256)])
@@ -145,33 +141,24 @@ def test_displaced_undoes_travel(records, direction):
 def test_take_keeps_whole_tests_in_the_order_asked_for(records):
     batch = laid(records, end_stop=60.0)
     some = batch.take([2, 0])
-    for name in (
-        "command",
-        "raw_command",
-        "dead_zone",
-        "displacement",
-        "valid",
-        "loss_mask",
-        "initial",
-        "covariates",
-    ):
+    signals = ("command", "raw_command", "displacement", "valid", "loss_mask")
+    for name in (*signals, "dead_zone", "initial", "covariates"):
         np.testing.assert_array_equal(getattr(some, name), np.asarray(getattr(batch, name))[[2, 0]])
     assert (some.step_s, some.sign) == (batch.step_s, batch.sign)
 
 
 def test_counting_takes_samples_away_and_never_adds_any(records):
     batch = laid(records, end_stop=60.0)
-    asked = jnp.arange(512)[None, :] % 2 == jnp.zeros((3, 1), int)
+    mask = jnp.arange(512)[None, :] % 2 == jnp.zeros((3, 1), int)
     np.testing.assert_array_equal(
-        batch.masked(asked).loss_mask, np.asarray(batch.loss_mask) & np.asarray(asked)
+        batch.masked(mask).loss_mask, np.asarray(batch.loss_mask) & np.asarray(mask)
     )
     everything = batch.masked(jnp.ones_like(batch.loss_mask))
     np.testing.assert_array_equal(everything.loss_mask, batch.loss_mask)
-    np.testing.assert_array_equal(everything.displacement, batch.displacement)
 
 
 @given(rest=st.integers(0, 120), size=st.integers(121, 200), level=st.floats(-100, 100))
-def test_the_start_is_the_mean_of_the_samples_before_motion_at_most_fifty(rest, size, level):
+def test_the_start_is_the_mean_before_motion(rest, size, level):
     displacement = level + np.random.default_rng(size).normal(size=size)
     effective = np.where(np.arange(size) < rest, 0.0, 0.3)
     at_rest = displacement[: min(rest + 1, 50)]
@@ -179,35 +166,21 @@ def test_the_start_is_the_mean_of_the_samples_before_motion_at_most_fifty(rest, 
     assert mean_before_motion(displacement, effective) == pytest.approx(expected, abs=1e-12)
 
 
-def test_a_test_without_motion_starts_at_the_mean_of_its_first_fifty_samples():
+def test_without_motion_fifty_samples_give_the_start(records):
+    np.testing.assert_array_equal(laid(records, initial=[1.0, 2.0, 3.0]).initial, [1.0, 2.0, 3.0])
     displacement = np.concatenate([np.full(50, 3.0), np.full(50, 99.0)])
     assert mean_before_motion(displacement, np.zeros(100)) == 3.0
     assert mean_before_motion(displacement[:20], np.zeros(20)) == 3.0
 
 
-def test_a_given_start_is_taken_as_it_is(records):
-    batch = laid(records, initial=[1.0, 2.0, 3.0])
-    np.testing.assert_array_equal(batch.initial, [1.0, 2.0, 3.0])
-
-
 @pytest.mark.parametrize("direction", [1, -1])
-def test_samples_count_until_one_percent_of_the_way_to_the_end_stop_is_left(direction):
+def test_samples_count_until_the_end_stop_is_near(direction):
     way = np.concatenate([np.arange(0.0, 101.0), np.arange(100.0, 50.0, -1.0)])
     counted = before_end_stop(7.0 + direction * way, direction, 7.0 + direction * 100.0)
     # 99 of 100 leaves 1 %; what follows the contact never counts again, not even on the way back.
     np.testing.assert_array_equal(counted, np.arange(way.size) < 99)
-
-
-@pytest.mark.parametrize("direction", [1, -1])
-def test_without_an_end_stop_or_short_of_it_every_sample_counts(direction):
-    way = direction * np.linspace(0.0, 98.0, 50)
     assert before_end_stop(way, direction, None).all()
-    assert before_end_stop(way, direction, direction * 100.0).all()
-
-
-@pytest.mark.parametrize("direction", [1, -1])
-def test_a_test_that_starts_at_or_beyond_its_end_stop_counts_nowhere(direction):
+    assert before_end_stop(direction * np.linspace(0.0, 98.0, 50), direction, direction * 100.0).all()
     for start in (100.0, 101.0):
-        assert not before_end_stop(
-            direction * np.linspace(start, 90.0, 30), direction, direction * 100.0
-        ).any()
+        beyond = direction * np.linspace(start, 90.0, 30)
+        assert not before_end_stop(beyond, direction, direction * 100.0).any()

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hitchid.logs.record import LIFTING, Record
-from hitchid.structures import Batch, DiscretePhysicalModel, PhysicalModel, structure_named
+from hitchid.structures import PhysicalModel, structure_named
 
 GAIN, OMEGA, DAMPING, TRAVEL = 40.0, 8.0, 0.2, 0.5  # mm/(A s), rad/s, 1, mm
 STRUCTURE = structure_named("integrator-second-order-friction")
@@ -29,9 +28,9 @@ def stepped(step_s=STEP_S):
 def by_small_steps(command, *, at_rest, substeps=200):
     """Return travel by explicit Euler steps, friction holding where it can."""
     h, friction = STEP_S / substeps, TRAVEL * OMEGA**2
-    travel, speed, pressure, found = 0.0, 0.0, friction * at_rest, []
+    travel, speed, pressure, travels = 0.0, 0.0, friction * at_rest, []
     for u in np.asarray(command)[0]:
-        found.append(travel)
+        travels.append(travel)
         for _ in range(substeps):
             next_speed = speed + h * pressure
             held = abs(next_speed) <= h * friction
@@ -39,17 +38,17 @@ def by_small_steps(command, *, at_rest, substeps=200):
             acceleration = (next_speed - speed) / h
             pressure += h * (OMEGA**2 * (GAIN * u - speed) - 2 * DAMPING * OMEGA * acceleration)
             travel, speed = travel + h * next_speed, next_speed
-    return np.array(found)
+    return np.array(travels)
 
 
 @pytest.mark.parametrize("at_rest", [-1.0, 0.0, 1.0])
 def test_its_response_is_that_of_its_equations_of_motion(at_rest):
     command = stepped()
-    found = np.asarray(model(at_rest=at_rest).response(command, STEP_S))[0]
+    computed = np.asarray(model(at_rest=at_rest).response(command, STEP_S))[0]
     expected = by_small_steps(command, at_rest=at_rest)
     # Friction is constant over a sample: where it reverses, its effect on the speed is off by one sample.
     reversal = TRAVEL * OMEGA**2 * STEP_S
-    assert np.abs(found - expected).max() < reversal / OMEGA
+    assert np.abs(computed - expected).max() < reversal / OMEGA
     assert np.ptp(expected) > 20.0
 
 
@@ -58,8 +57,8 @@ def test_the_error_of_the_time_stepping_falls_with_the_step():
     errors = []
     for divisor in (1, 2, 4):
         step_s = STEP_S / divisor
-        found = np.asarray(model().response(stepped(step_s), step_s))[0]
-        errors.append(np.abs(found - fine[:: 16 // divisor]).max())
+        computed = np.asarray(model().response(stepped(step_s), step_s))[0]
+        errors.append(np.abs(computed - fine[:: 16 // divisor]).max())
     assert errors[2] < 0.6 * errors[0]
     assert errors[0] < TRAVEL * OMEGA**2 * STEP_S / OMEGA
 
@@ -76,9 +75,11 @@ def test_with_little_friction_it_is_the_linear_lag():
         structure_named("integrator-second-order"), jnp.array([GAIN, OMEGA, DAMPING]), jnp.asarray(0.0)
     )
     travel = 1e-9
-    found, expected = (np.asarray(each.response(stepped(), STEP_S)) for each in (model(travel), linear))
+    computed, expected = (
+        np.asarray(benchmark.response(stepped(), STEP_S)) for benchmark in (model(travel), linear)
+    )
     # Friction holds the travel back by no more than a few times the travel that it compresses the oil by.
-    np.testing.assert_allclose(found, expected, rtol=0, atol=SAMPLES * travel)
+    np.testing.assert_allclose(computed, expected, rtol=0, atol=SAMPLES * travel)
 
 
 @given(
@@ -97,55 +98,8 @@ def test_it_comes_to_rest_and_its_gradients_are_finite(travel, at_rest, omega, d
         return PhysicalModel(STRUCTURE, values, jnp.asarray(0.0)).response(jnp.asarray(command), step_s)
 
     values = jnp.array([GAIN, omega, damping, travel, at_rest])
-    found = np.asarray(response(values))[0]
-    assert np.isfinite(found).all()
-    assert np.ptp(found[-3:]) <= 1e-3 * max(np.ptp(found), travel)
+    computed = np.asarray(response(values))[0]
+    assert np.isfinite(computed).all()
+    assert np.ptp(computed[-3:]) <= 1e-3 * max(np.ptp(computed), travel)
     columns = jax.jacfwd(response)(values)
     assert np.isfinite(columns).all()
-
-
-@pytest.mark.parametrize("at_rest", [-1.0, 0.6])
-def test_one_sample_at_a_time_it_is_the_whole_response(at_rest):
-    command = np.asarray(stepped())[0]
-    record = Record(
-        "steps",
-        STEP_S,
-        {"lifting_command": command, "displacement": np.zeros(SAMPLES)},
-        {"lifting_command": "A", "displacement": "mm"},
-    )
-    benchmark = model(at_rest=at_rest)
-    whole = np.asarray(benchmark.travel(Batch.of([record], LIFTING, dead_zone=0.0, sign=1)))[0, :SAMPLES]
-    discrete = DiscretePhysicalModel.of(benchmark, dead_zone=0.0, min_command=1e-6, sign=1, step_s=STEP_S)
-    zero = jnp.zeros(())
-    valve, plant, travel, found = discrete.closed_valve(), discrete.init_state(zero, zero), 0.0, []
-    for u in command:
-        found.append(travel)
-        valve = discrete.step_valve(valve, jnp.asarray(u))
-        plant, increment = discrete.advance(plant, valve, zero)
-        travel += float(increment)
-    np.testing.assert_allclose(found, whole, rtol=0, atol=1e-9)
-
-
-def test_its_parameters_are_identified_from_its_own_response():
-    from hitchid.estimation import Objective, refine_subset
-    from hitchid.structures import ModelSpec
-
-    rng = np.random.default_rng(0)
-    truth, records = model(travel=0.5, at_rest=-0.6), []
-    for number in range(4):
-        command = np.repeat(rng.uniform(0.1, 1.0, 10) * rng.integers(0, 2, 10), 40)
-        command[:20] = 0.0
-        travel = np.asarray(truth.response(jnp.asarray(command[None]), STEP_S))[0]
-        records.append(
-            Record(
-                f"{number}",
-                STEP_S,
-                {"lifting_command": command, "displacement": travel},
-                {"lifting_command": "A", "displacement": "mm"},
-            )
-        )
-    batch = Batch.of(records, LIFTING, dead_zone=0.0, sign=1, initial=[0.0] * 4)
-    objective = Objective.of(batch, ModelSpec(STRUCTURE))
-    start = objective.position(np.array([35.0, 6.0, 0.4, 0.2, 0.0]))
-    fit = refine_subset(objective, range(5), [start], 80, 1e-14)
-    np.testing.assert_allclose(objective.values(fit.position), np.asarray(truth.values), rtol=1e-3)

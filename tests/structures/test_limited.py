@@ -20,8 +20,7 @@ def test_it_returns_what_clip_does(value, bounds):
 
 
 @pytest.mark.parametrize(
-    ("value", "gradient"),
-    [(0.5, INSIDE), (-2.0, BELOW), (3.0, ABOVE), (0.0, INSIDE), (1.0, INSIDE)],
+    ("value", "gradient"), [(0.5, INSIDE), (-2.0, BELOW), (3.0, ABOVE), (0.0, INSIDE), (1.0, INSIDE)]
 )
 def test_its_derivative_is_that_of_the_value_it_returns(value, gradient):
     arguments = jnp.asarray(value), jnp.asarray(0.0), jnp.asarray(1.0)

@@ -8,28 +8,16 @@ import numpy as np
 import pytest
 
 import handmade
-from hitchid.errors import InputError
 from hitchid.estimation import Objective
 from hitchid.logs.record import LIFTING
-from hitchid.structures import (
-    Batch,
-    CovariateEffects,
-    ModelSpec,
-    PhysicalModel,
-    structure_named,
-)
+from hitchid.structures import Batch, CovariateEffects, ModelSpec, PhysicalModel, structure_named
 from hitchid.structures.nonlinearity import MAX_QUADRATIC_SPREADS, MAX_SPREADS
 from truth import levels
 
 SECOND_ORDER = structure_named("integrator-second-order")
 VALUES = (20.0, 12.0, 0.5)
-EFFECTS = {
-    "gain": 0.2,
-    "gain_squared": -0.05,
-    "natural_frequency": -0.1,
-    "damping_ratio": 0.4,
-    "opening": 0.03,
-}
+EFFECTS = {"gain": 0.2, "gain_squared": -0.05, "natural_frequency": -0.1, "damping_ratio": 0.4}
+EFFECTS["opening"] = 0.03
 LOADS = (95.0, 120.0, 157.5)
 SPEC = ModelSpec(
     SECOND_ORDER,
@@ -40,8 +28,8 @@ SPEC = ModelSpec(
 )
 
 
-def model(**effects):
-    curves = handmade.scheduled(SECOND_ORDER, centre=120.0, spread=25.0, **(effects or EFFECTS))
+def model():
+    curves = handmade.scheduled(SECOND_ORDER, centre=120.0, spread=25.0, **EFFECTS)
     return PhysicalModel(SECOND_ORDER, jnp.array(VALUES), jnp.asarray(0.03), *curves)
 
 
@@ -50,21 +38,16 @@ def batch_of(make_record, loads, **more):
     records = []
     for load in loads:
         record = make_record(np.linspace(80.0, 110.0, 300), levels(rng, 300))
-        signals = {"pressure": np.full(300, load), **{name: np.full(300, v) for name, v in more.items()}}
-        records.append(
-            replace(
-                record,
-                signals={**record.signals, **signals},
-                units={**record.units, **dict.fromkeys(signals, "bar")},
-            )
-        )
+        signals = {name: np.full(300, value) for name, value in {"pressure": load, **more}.items()}
+        units = {**record.units, **dict.fromkeys(signals, "bar")}
+        records.append(replace(record, signals={**record.signals, **signals}, units=units))
     return Batch.of(records, LIFTING, dead_zone=0.2, sign=1, covariates=["pressure", *more])
 
 
-def test_each_test_moves_as_the_model_with_the_parameters_of_its_load(make_record):
+def test_each_test_has_the_parameters_of_its_load(make_record):
     batch = batch_of(make_record, LOADS)
-    found = np.asarray(model().travel(batch))
-    assert np.ptp(found[:, 299]) > 1.0
+    computed = np.asarray(model().travel(batch))
+    assert np.ptp(computed[:, 299]) > 1.0
     for row, load in enumerate(LOADS):
         z = (load - 120.0) / 25.0
         square = 0.2 * z - 0.05 * min(z, MAX_QUADRATIC_SPREADS) ** 2
@@ -72,17 +55,14 @@ def test_each_test_moves_as_the_model_with_the_parameters_of_its_load(make_recor
         curves = handmade.scheduled(SECOND_ORDER, (handmade.CURVES[0] + 0.03 * z, *handmade.CURVES[1:]))
         alone = PhysicalModel(SECOND_ORDER, jnp.array(values), jnp.asarray(0.03), curves[0])
         expected = np.asarray(alone.travel(batch.take([row])))[0]
-        np.testing.assert_allclose(found[row], expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+        np.testing.assert_allclose(computed[row], expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
 
-def test_beyond_three_standard_deviations_nothing_changes_further():
+def test_a_model_at_a_load_stands_beyond_three_standard_deviations():
     edge = 120.0 + 25.0 * MAX_SPREADS
     here, far = (model().at_load(jnp.array([load])) for load in (edge, edge + 1000.0))
     np.testing.assert_array_equal(here.values, far.values)
     assert float(model().at_load(jnp.array([120.0])).gain) == VALUES[0]
-
-
-def test_a_model_at_a_load_has_no_covariates_and_one_without_is_itself():
     assert model().covariates == ("pressure",)
     at_load = model().at_load(jnp.array([100.0]))
     assert at_load.covariates == ()
@@ -91,21 +71,12 @@ def test_a_model_at_a_load_has_no_covariates_and_one_without_is_itself():
 
 def test_parameters_are_named_for_quantity_and_covariate():
     names = [parameter.name for parameter in SPEC.covariate_parameters]
-    assert names == [
-        *(
-            f"{quantity}_by_pressure"
-            for quantity in ("gain", "natural_frequency", "damping_ratio", "opening")
-        ),
-        *(
-            f"{quantity}_by_pressure_squared"
-            for quantity in ("gain", "natural_frequency", "damping_ratio", "opening")
-        ),
-        "gain_by_oil",
-        "opening_by_oil",
-    ]
-    found = model().named_values()
-    assert found["gain_by_pressure_squared"] == pytest.approx(-0.05)
-    assert found["opening_by_pressure"] == pytest.approx(0.03)
+    quantities = ("gain", "natural_frequency", "damping_ratio", "opening")
+    by_pressure = [f"{name}_by_pressure{power}" for power in ("", "_squared") for name in quantities]
+    assert names == [*by_pressure, "gain_by_oil", "opening_by_oil"]
+    computed = model().named_values()
+    assert computed["gain_by_pressure_squared"] == pytest.approx(-0.05)
+    assert computed["opening_by_pressure"] == pytest.approx(0.03)
 
 
 def test_searched_values_reach_the_effects_they_are_named_for(make_record):
@@ -113,9 +84,9 @@ def test_searched_values_reach_the_effects_they_are_named_for(make_record):
     objective = Objective.of(batch, SPEC)
     names = [parameter.name for parameter in SPEC.parameters]
     values = np.linspace(0.1, 0.9, len(names))
-    found = SPEC.physical_model(jnp.asarray(values), objective.scales).named_values()
-    assert {name: found[name] for name in names} == pytest.approx(dict(zip(names, values, strict=True)))
-    assert found["natural_frequency_by_oil"] == 0.0
+    computed = SPEC.physical_model(jnp.asarray(values), objective.scales).named_values()
+    assert {name: computed[name] for name in names} == pytest.approx(dict(zip(names, values, strict=True)))
+    assert computed["natural_frequency_by_oil"] == 0.0
     vector = SPEC.physical_model(jnp.asarray(values), objective.scales).parameter_vector
     again = model().with_parameter_vector(model().parameter_vector)
     np.testing.assert_array_equal(again.parameter_vector, model().parameter_vector)
@@ -131,8 +102,3 @@ def test_derivatives_of_all_parameters_are_finite(make_record):
     assert named["damping_ratio_by_pressure"] > 0
     # The oil is as warm in every test: its spread counts as one, and it changes nothing.
     assert named["gain_by_oil"] == 0.0
-
-
-def test_a_covariate_that_no_column_holds_is_refused(make_record):
-    with pytest.raises(InputError, match="has no 'oil'; the model requires this covariate"):
-        Batch.of([make_record(np.zeros(9), np.ones(9))], LIFTING, dead_zone=0.0, sign=1, covariates=["oil"])

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid.errors import InputError
-from hitchid.logs.kinds import effective_command
 from hitchid.logs.record import LIFTING, Record
 from hitchid.structures import (
     NONLINEARITY_PARAMETERS,
@@ -43,9 +42,8 @@ def flow(curves, command):
 
 
 def effective(curves, command, dead_zone=DEAD_ZONE):
-    return np.asarray(compiled_effective(curves, jnp.asarray(command)[None], jnp.array([dead_zone]), STEP_S))[
-        0
-    ]
+    zones = jnp.array([dead_zone])
+    return np.asarray(compiled_effective(curves, jnp.asarray(command)[None], zones, STEP_S))[0]
 
 
 def travelled(curves, speed, start, *, sign=1, step_s=STEP_S):
@@ -66,26 +64,13 @@ def test_neutral_curves_change_nothing():
     np.testing.assert_array_equal(gain(shape(), np.linspace(-3.0, 3.0, 50)), 1.0)
 
 
-def test_neutral_values_give_the_command_beyond_the_dead_zone():
-    command = levels(np.random.default_rng(0), 200, low=-2.0, high=2.0)
-    found = effective(shape(), command)
-    # What the neutral lag τ leaves of a step of the command: τ/h of it, in the first interval only.
-    left = NEUTRAL["spool_lag"] / STEP_S * np.abs(np.diff(command, prepend=0.0)) + 4 * EPS * 2.0
-    assert np.all(np.abs(found - effective_command(command, DEAD_ZONE)) <= left)
-    assert np.count_nonzero(found) > 50
-    assert np.all(found[np.abs(command) < 0.9 * DEAD_ZONE] == 0.0)
-
-
 def played(spool, width):
     """Return the play operator of half-width `width` by its definition, from zero, shape [N]."""
-    held, found = 0.0, []
+    held, positions = 0.0, []
     for s in spool:
-        if held < s - width:
-            held = s - width
-        elif held > s + width:
-            held = s + width
-        found.append(held)
-    return np.array(found)
+        held = min(max(held, s - width), s + width)
+        positions.append(held)
+    return np.array(positions)
 
 
 @given(seed=st.integers(0, 2**16), hysteresis=st.floats(0.0, 1.0), dead_zone=st.floats(0.05, 1.0))
@@ -101,31 +86,14 @@ def test_hysteresis_is_the_play_operator(seed, hysteresis, dead_zone):
     )
 
 
-@pytest.mark.parametrize("hysteresis", [0.0, 0.3, 1.0])
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_rising_ramp_opens_at_the_dead_zone_and_a_falling_one_closes_a_width_below(hysteresis, side):
-    up = np.linspace(0.0, 1.0, 2001)
-    ramp = np.concatenate([up, up[::-1]])
-    found = side * effective(shape(hysteresis=hysteresis), side * ramp)
-    rising, falling = found[:2001], found[2001:][::-1]
-    # A ramp of 5e-4 a sample: the neutral lag shifts it by τ/h of that.
-    shift = 5e-4 * NEUTRAL["spool_lag"] / STEP_S + 4 * EPS
-    np.testing.assert_allclose(rising, np.maximum(up - DEAD_ZONE, 0.0), rtol=0, atol=shift)
-    closes = DEAD_ZONE * (1 - hysteresis)
-    # On the way back play lets go of the spool a width below the top.
-    free = up <= 1.0 - hysteresis * DEAD_ZONE
-    np.testing.assert_allclose(falling[free], np.maximum(up - closes, 0.0)[free], rtol=0, atol=shift)
-    assert np.all(falling[~free] == pytest.approx(1.0 - DEAD_ZONE, abs=shift))
-
-
 @pytest.mark.parametrize("lag", [1e-3, 0.02, 0.5])
-def test_the_spool_answers_a_step_as_a_first_order_lag_in_the_mean_over_each_interval(lag):
+def test_the_spool_answers_a_step_as_a_lag(lag):
     """s(t) = 1 − exp(−t/τ); its mean from k h to (k + 1) h is 1 − τ/h (exp(−k h/τ) − exp(−(k + 1) h/τ))."""
     edge = np.exp(-STEP_S * np.arange(301) / lag)
     expected = 1.5 * (1 - lag / STEP_S * (edge[:-1] - edge[1:]))
-    found = effective(shape(spool_lag=lag), np.full(300, 1.5), dead_zone=0.0)
+    computed = effective(shape(spool_lag=lag), np.full(300, 1.5), dead_zone=0.0)
     # Differences of exponentials, τ/h times, and 300 products.
-    np.testing.assert_allclose(found, expected, rtol=0, atol=300 * EPS * 1.5 * max(1.0, lag / STEP_S))
+    np.testing.assert_allclose(computed, expected, rtol=0, atol=300 * EPS * 1.5 * max(1.0, lag / STEP_S))
     beyond = effective(shape(spool_lag=lag), np.full(300, 1.5))
     np.testing.assert_allclose(beyond, np.maximum(expected - DEAD_ZONE, 0.0), rtol=0, atol=1e-13)
 
@@ -151,18 +119,7 @@ def test_a_command_of_zero_lets_nothing_flow_for_any_hysteresis(seed, hysteresis
     assert np.count_nonzero(left < room - 4 * EPS) > 250
 
 
-def test_a_standing_command_moves_no_spool():
-    """After a step up and down again within the play, the spool stays where it was."""
-    command = np.concatenate([np.full(20, 1.0), np.full(20, 1.0 - 0.3 * DEAD_ZONE)])
-    found = effective(shape(hysteresis=0.5), command)
-    np.testing.assert_allclose(
-        found[1:], 1.0 - DEAD_ZONE, rtol=0, atol=NEUTRAL["spool_lag"] / STEP_S + 4 * EPS
-    )
-    further = np.concatenate([np.full(20, 1.0), np.full(20, 1.0 - 0.7 * DEAD_ZONE)])
-    assert effective(shape(hysteresis=0.5), further)[-1] == pytest.approx(1.0 - 1.2 * DEAD_ZONE, abs=1e-6)
-
-
-def test_flow_is_the_power_of_what_lies_beyond_the_opening_until_it_saturates():
+def test_flow_is_a_power_until_it_saturates():
     command = np.array([0.0, 0.3, 0.5, 1.0, 2.0])
     beyond = np.maximum(command / 2.0 - 0.2, 0.0)
     np.testing.assert_allclose(flow(shape(opening=0.2, exponent=2.0), command), 2.0 * beyond**2, rtol=8 * EPS)
@@ -170,33 +127,27 @@ def test_flow_is_the_power_of_what_lies_beyond_the_opening_until_it_saturates():
     np.testing.assert_allclose(flow(shape(opening=0.2, saturation=0.3), command), 2.0 * limited, rtol=8 * EPS)
 
 
-@given(
-    opening=st.floats(-0.6, 0.9),
-    exponent=st.floats(0.34, 3.0),
-    saturation=st.floats(0.05, 1e4),
-)
-def test_flow_never_falls_with_the_command_and_a_standing_command_moves_nothing(
-    opening, exponent, saturation
-):
+@given(opening=st.floats(-0.6, 0.9), exponent=st.floats(0.34, 3.0), saturation=st.floats(0.05, 1e4))
+def test_flow_never_falls_with_the_command(opening, exponent, saturation):
     curves = shape(opening=opening, exponent=exponent, saturation=saturation)
     command = np.linspace(0.0, 2.5, 60)
-    found = flow(curves, command)
-    assert found[0] == 0.0
-    assert np.all(np.diff(found) >= -4 * EPS * found.max())
-    assert found.max() <= 2.0 * saturation * (1 + 4 * EPS)
-    np.testing.assert_array_equal(flow(curves, -command), -found)
+    computed = flow(curves, command)
+    assert computed[0] == 0.0
+    assert np.all(np.diff(computed) >= -4 * EPS * computed.max())
+    assert computed.max() <= 2.0 * saturation * (1 + 4 * EPS)
+    np.testing.assert_array_equal(flow(curves, -command), -computed)
 
 
-def test_a_gain_along_the_stroke_gives_the_travel_of_its_differential_equation():
+def test_a_gain_along_the_stroke_solves_its_equation():
     """dx/dt = v exp(a ξ + b ξ² − b/3), ξ = x/50 − 1: with b = 0, exp(−a ξ) falls by a v t/50 from exp(a)."""
     slope, speed = 0.8, 10.0
     errors = []
     for step_s in (0.02, 0.01):
         time_s = step_s * np.arange(round(3.0 / step_s) + 1)
         curves = shape(position_slope=slope)
-        found = travelled(curves, np.full(time_s.size, speed), 0.0, step_s=step_s)
+        computed = travelled(curves, np.full(time_s.size, speed), 0.0, step_s=step_s)
         place = -np.log(np.exp(slope) - slope * speed * time_s / 50.0) / slope
-        errors.append(np.abs(found - 50.0 * (place + 1)).max())
+        errors.append(np.abs(computed - 50.0 * (place + 1)).max())
     # One Euler step a sample: half the step, half the error.
     assert errors[1] < 0.02
     assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.05)
@@ -224,39 +175,20 @@ slopes = st.floats(-2.0, 2.0)
 
 @given(slope=slopes, curve=slopes, place=st.floats(-QUADRATIC_RANGE, QUADRATIC_RANGE))
 def test_within_reach_the_gain_is_its_formula(slope, curve, place):
-    found = gain(shape(position_slope=slope, position_curve=curve), [place])
+    computed = gain(shape(position_slope=slope, position_curve=curve), [place])
     # Exponents up to 7 of places that round in 50 ± 75 mm.
     expected = np.exp(slope * place + curve * (place**2 - 1 / 3))
-    np.testing.assert_allclose(found, expected, rtol=50 * EPS)
+    np.testing.assert_allclose(computed, expected, rtol=50 * EPS)
 
 
 @given(slope=slopes, curve=slopes, beyond=st.floats(0.0, 1e4), side=st.sampled_from([-1.0, 1.0]))
-def test_beyond_reach_the_curve_is_held_and_the_slope_goes_on_to_a_factor_of_two(slope, curve, beyond, side):
+def test_beyond_reach_the_gain_changes_by_two_at_most(slope, curve, beyond, side):
     curves = shape(position_slope=slope, position_curve=curve)
     edge, far = gain(curves, [side * QUADRATIC_RANGE, side * (QUADRATIC_RANGE + beyond)])
     went_on = float(np.clip(side * slope * beyond, -MAX_EXTRAPOLATION, MAX_EXTRAPOLATION))
     # A place of up to 1e4 half ranges times a slope of two, of which up to 0.7 counts.
     assert far / edge == pytest.approx(np.exp(went_on), rel=50 * EPS + 4 * EPS * abs(slope) * QUADRATIC_RANGE)
     assert abs(MAX_EXTRAPOLATION - np.log(2.0)) < 0.01
-
-
-@pytest.mark.parametrize("slope", [-1.2, 0.4])
-@pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_the_gain_has_no_step_where_the_reach_ends_and_at_last_stands(slope, side):
-    curves = shape(position_slope=slope, position_curve=0.3)
-    near = gain(curves, side * (QUADRATIC_RANGE + np.array([-1e-9, 1e-9])))
-    # Steepest by slope and curve together: |a| + 2 b ξ, over 2e-9 half ranges.
-    assert abs(np.diff(np.log(near)).item()) <= 2e-9 * (abs(slope) + 2 * 0.3 * QUADRATIC_RANGE) + 50 * EPS
-    last = QUADRATIC_RANGE + MAX_EXTRAPOLATION / abs(slope)
-    found = gain(curves, side * np.array([last - 0.1, last, last + 1.0, 1e6]))
-    assert found[0] != found[1]
-    np.testing.assert_allclose(found[1:], found[1], rtol=50 * EPS)
-
-
-def test_a_record_without_the_second_input_is_refused(make_record):
-    record = make_record(np.linspace(80.0, 90.0, 100), np.ones(100))
-    with pytest.raises(InputError, match="has no 'pressure'"):
-        Batch.of([record], LIFTING, dead_zone=0.0, sign=1, covariates=["pressure"])
 
 
 def test_bounds_may_be_negative_only_where_a_parameter_may():
@@ -266,17 +198,6 @@ def test_bounds_may_be_negative_only_where_a_parameter_may():
         ModelSpec(structure, valve_curve=True, bounds={"exponent": (-1.0, 1.0)})
     with pytest.raises(InputError, match="position_slope"):
         ModelSpec(structure, bounds={"position_slope": (-1.0, 1.0)})
-
-
-def test_sampling_time_does_not_enter_the_static_curve(make_record):
-    record = make_record(np.linspace(80.0, 90.0, 100), np.ones(100))
-    batch = Batch.of([record], LIFTING, dead_zone=0.0, sign=1)
-    form = ModelSpec(structure_named("integrator"), valve_curve=True)
-    model = form.physical_model(jnp.array([3.0, 0.1, 2.0, 0.5]), SCALES)
-    speed = 3.0 * flow(shape(opening=0.1, exponent=2.0, saturation=0.5), np.ones(1))[0]
-    np.testing.assert_allclose(
-        model.travel(batch)[0, :100], speed * STEP_S * np.arange(100), rtol=0, atol=1e-12
-    )
 
 
 def test_hysteresis_has_a_derivative_where_it_is_zero():

@@ -1,7 +1,5 @@
 """Bands hold the share of samples they are asked to, of tests that were not seen."""
 
-from functools import cache
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,7 +10,6 @@ from hitchid.errors import InputError
 from hitchid.model import Bands, PredictionSpread
 from hitchid.model.bands import free_run_half_width
 from hitchid.uncertainty.conformal import (
-    BISECTION_STEPS,
     GRID,
     LEVELS,
     conformal_quantile,
@@ -47,38 +44,17 @@ scores = st.lists(
 )
 
 
-@cache
-def coverage_of_a_test_to_come(tests, level):
-    """Return the mean share of tests to come that are covered, each test one uniform score all along."""
-    rng = np.random.default_rng(0)
-    drawn = rng.random((SETS, tests))
-    # Of uniform scores a share q lies below q.
-    return float(np.mean([conformal_quantile([np.full(30, score) for score in row], level) for row in drawn]))
-
-
-def doubt(tests, level):
-    """Return the standard error of that mean: the k-th of T uniform numbers is a Beta(k, T + 1 − k) one."""
-    return np.sqrt(level * (1 - level) / (tests + 2) / SETS)
-
-
-@pytest.mark.parametrize(("tests", "level"), [(10, 0.8), (20, 0.9)])
-def test_tests_to_come_are_covered_to_the_level_where_samples_of_a_test_are_one(tests, level):
-    # Conformal: the first k with k/(T + 1) at or above the level, so at most 1/(T + 1) more.
-    covered, error = coverage_of_a_test_to_come(tests, level), doubt(tests, level)
-    assert level - SURE * error <= covered <= level + 1 / (tests + 1) + SURE * error
-
-
 @pytest.mark.parametrize(("tests", "level"), [(10, 0.5), (10, 0.8), (20, 0.9)])
-def test_where_samples_of_a_test_are_one_coverage_is_within_a_test_of_the_level(tests, level):
-    covered, error = coverage_of_a_test_to_come(tests, level), doubt(tests, level)
-    assert abs(covered - level) <= 1 / (tests + 1) + SURE * error
-
-
-def test_more_is_asked_than_few_tests_can_tell_and_their_largest_is_returned():
-    rows = [np.full(9, float(number)) for number in range(5)]
-    # Of five tests each is covered by the others in four cases at most.
-    assert conformal_quantile(rows, 0.9) == 4.0
-    assert conformal_quantile(rows, 0.5) < 4.0
+def test_coverage_is_within_a_test_of_the_level(tests, level):
+    drawn = np.random.default_rng(0).random((SETS, tests))
+    quantiles = [conformal_quantile([np.full(30, score) for score in row], level) for row in drawn]
+    # Of uniform scores a share q lies below q; the k-th of T uniform numbers is a Beta(k, T + 1 − k) one.
+    error = np.sqrt(level * (1 - level) / (tests + 2) / SETS)
+    assert abs(np.mean(quantiles) - level) <= 1 / (tests + 1) + SURE * error
+    # Of few tests more is asked than they can tell: their largest score is returned.
+    few = [np.full(9, float(number)) for number in range(5)]
+    assert conformal_quantile(few, 0.9) == 4.0
+    assert conformal_quantile(few, 0.5) < 4.0
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -86,24 +62,14 @@ def test_the_level_needs_no_raising_where_samples_are_independent(level):
     tests, samples = 20, 1000
     rng = np.random.default_rng(1)
     drawn = rng.random((20, tests, samples))
-    found = np.array([conformal_quantile(list(each), level) for each in drawn])
+    computed = np.array([conformal_quantile(list(rows), level) for rows in drawn])
     # A binomial count of all samples, and quantiles between grid points 1/400 apart.
     error = np.sqrt(level * (1 - level) / (tests * samples))
-    assert np.all(np.abs(found - level) <= SURE * error + GRID[1])
-    assert abs(found.mean() - level) <= SURE * error / np.sqrt(20) + GRID[1]
+    assert np.all(np.abs(computed - level) <= SURE * error + GRID[1])
+    assert abs(computed.mean() - level) <= SURE * error / np.sqrt(20) + GRID[1]
 
 
-def test_tests_of_which_each_is_partly_its_own_ask_for_the_largest_score():
-    rng = np.random.default_rng(2)
-    rows = [np.concatenate([rng.random(100), np.full(100, 10 + own)]) for own in rng.random(9)]
-    # The others cover eight of nine tests whole and half of the last: 17/18 = 0.944.
-    assert conformal_quantile(rows, 0.95) == max(row.max() for row in rows)
-    rows = [np.concatenate([rng.random(100), np.full(100, 10 + own)]) for own in rng.random(20)]
-    # Of twenty tests they cover 39/40 = 0.975.
-    assert conformal_quantile(rows, 0.95) < max(row.max() for row in rows)
-
-
-def test_the_level_is_raised_where_some_tests_err_more_than_others():
+def test_the_level_is_raised_where_tests_differ():
     rng, level = np.random.default_rng(2), 0.8
     raised = []
     for _ in range(40):
@@ -113,59 +79,28 @@ def test_the_level_is_raised_where_some_tests_err_more_than_others():
     assert np.mean(raised) > SURE * np.std(raised) / np.sqrt(40)
 
 
-@given(rows=scores, levels=st.tuples(st.floats(0.01, 0.99), st.floats(0.01, 0.99)).map(sorted))
-def test_more_coverage_never_takes_a_smaller_score(rows, levels):
-    less, more = (conformal_quantile(rows, level) for level in levels)
-    pooled = np.concatenate([np.quantile(row, GRID) for row in rows])
-    # Halving leaves the probability of the lower level up to 2⁻¹² above that of the higher one; between two
-    # scores the quantile is interpolated, one more place.
-    probability = np.mean(pooled <= more) + 0.5**BISECTION_STEPS + 1 / pooled.size
-    assert less <= np.quantile(pooled, min(probability, 1.0)) * (1 + 1e-12)
-
-
-@given(rows=scores, level=st.floats(0.01, 0.99), power=st.integers(-20, 20))
-def test_scores_in_another_unit_give_the_score_in_that_unit(rows, level, power):
-    # Powers of two scale without rounding.
-    factor = 2.0**power
-    assert conformal_quantile([factor * row for row in rows], level) == factor * conformal_quantile(
-        rows, level
-    )
-
-
-@given(rows=scores, level=st.floats(0.01, 0.99), seed=st.integers(0, 99))
-def test_the_order_of_tests_and_samples_does_not_matter(rows, level, seed):
-    rng = np.random.default_rng(seed)
-    shuffled = [rng.permutation(rows[number]) for number in rng.permutation(len(rows))]
-    assert conformal_quantile(shuffled, level) == pytest.approx(conformal_quantile(rows, level), rel=1e-12)
-
-
 @given(row=st.lists(st.floats(0, 1e6), min_size=1, max_size=20), level=st.floats(0.01, 0.99))
 def test_of_one_test_the_largest_score_is_returned(row, level):
     assert conformal_quantile([np.array(row)], level) == max(row)
 
 
-def test_noise_is_found_beside_what_is_smooth():
+def test_noise_is_found_beside_what_is_smooth_or_broken():
     samples, size, rng = 4000, 0.05, np.random.default_rng(3)
     time_s = 0.01 * np.arange(samples)
     smooth = 10 * np.sin(np.pi * time_s) + 3 * time_s**2
-    found = sensor_noise([smooth + size * rng.standard_normal(samples) for _ in range(5)])
+    tests = [smooth + size * rng.standard_normal(samples) for _ in range(5)]
+    computed = sensor_noise(tests)
     # Third differences are correlated, 1, −15/20, 6/20, −1/20: as good as N/(1 + 2 Σρ²) = N/2.31 independent
     # ones. Δ³ of the sine is 10 (π/100)³ = 3e-4 against √20 · 0.05 = 0.22: 1e-6 of the variance. The median
     # of five tests scatters less than one of them.
     degrees = samples / 2.31
     least, most = np.sqrt(stats.chi2.ppf([0.0005, 0.9995], degrees) / degrees)
-    assert least <= found / size <= most
+    assert least <= computed / size <= most
+    # One broken test moves the median to the next of four whose scatter is √(2.31/2N) = 1.7 %.
+    assert sensor_noise([*tests[:4], 100 * tests[4]]) == pytest.approx(computed, rel=SURE * 0.017)
 
 
-def test_one_broken_test_does_not_spoil_the_noise():
-    samples, size, rng = 4000, 0.05, np.random.default_rng(4)
-    tests = [size * rng.standard_normal(samples) for _ in range(5)]
-    broken = [*tests[:4], 100 * tests[4]]
-    # The median moves to the next of four whose scatter is √(2.31/2N) = 1.7 %.
-    assert sensor_noise(broken) == pytest.approx(sensor_noise(tests), rel=SURE * np.sqrt(2.31 / 2 / samples))
-
-
-def test_a_parabola_has_no_noise_and_tests_of_three_samples_tell_none():
+def test_a_parabola_or_three_samples_have_no_noise():
     # Rounding of 1e4.
     assert sensor_noise([np.arange(100.0) ** 2]) <= 8 * np.finfo(float).eps * 1e4
     assert sensor_noise([np.array([0.0, 5.0, -5.0])]) == 0.0
@@ -178,14 +113,14 @@ def test_a_parabola_has_no_noise_and_tests_of_three_samples_tell_none():
     noise=st.floats(0, 1),
     level=st.sampled_from(LEVELS),
 )
-def test_the_score_of_a_sample_is_that_whose_band_just_reaches_it(errors, spread, noise, level):
-    (found,) = nonconformity_scores([errors], [np.full(errors.size, spread)], noise, level)
+def test_a_samples_score_has_a_band_that_reaches_it(errors, spread, noise, level):
+    (computed,) = nonconformity_scores([errors], [np.full(errors.size, spread)], noise, level)
     floor = stats.norm.ppf(0.5 + level / 2) * noise
     # √(e² − f²) and back: rounding of squares of at most 100.
     np.testing.assert_allclose(
-        np.hypot(floor, found * spread), np.maximum(np.abs(errors), floor), atol=1e-6, rtol=0
+        np.hypot(floor, computed * spread), np.maximum(np.abs(errors), floor), atol=1e-6, rtol=0
     )
-    assert np.all(found[np.abs(errors) <= floor] == 0)
+    assert np.all(computed[np.abs(errors) <= floor] == 0)
 
 
 def test_a_sample_where_all_alternatives_agree_scores_finitely():
@@ -215,7 +150,7 @@ def test_between_levels_and_horizons_bands_are_interpolated():
     assert BANDS.half_width(0.9, 3, np.zeros(())) == pytest.approx(0.1 * np.hypot(z, q))
 
 
-def test_beyond_the_last_horizon_the_error_grows_in_proportion_to_the_horizon():
+def test_beyond_the_last_horizon_errors_grow_in_proportion():
     z = stats.norm.ppf(0.95)
     # Of a movement in proportion, ten times the error at 100 samples; the noise and its factor stay.
     expected = np.sqrt(z**2 * 0.01 + 1.8**2 * (0.01 + 10.0**2))
@@ -258,16 +193,7 @@ def test_with_too_few_tests_every_test_has_its_share_inside(rows):
         assert np.count_nonzero(row > quantile * (1 + 1e-9)) <= 0.1 * row.size + 1
 
 
-def test_too_few_tests_widen_the_band_where_more_would_not():
-    rng = np.random.default_rng(5)
-    sizes = np.array([1.0, 1.5, 2.0, 3.0])
-    few = [size * rng.random(200) for size in sizes]
-    # The same four kinds of tests, many times over.
-    many = [size * rng.random(200) for size in np.repeat(sizes, 5)]
-    assert conformal_quantile(few, 0.9) > conformal_quantile(many, 0.9)
-
-
-@pytest.mark.parametrize("coverage", [0.0, 0.49, 0.96, 0.99, 1.0, 95.0, float("nan")])
+@pytest.mark.parametrize("coverage", [0.49, 0.96, 95.0, float("nan")])
 def test_coverage_beyond_the_levels_is_refused(coverage):
     complaint = f"coverage: expected between 0.5 and 0.95, got {coverage:g}"
     for ask in (

@@ -13,7 +13,7 @@ from hitchid.errors import FitError
 from hitchid.estimation import Objective
 from hitchid.logs.record import LIFTING
 from hitchid.model import Estimates, Uncertainty
-from hitchid.structures import Batch, ModelSpec, structure_named
+from hitchid.structures import ModelSpec, structure_named
 from hitchid.uncertainty.load_scatter import Contrasts, load_scatter, scatter_of
 from truth import held, levels
 
@@ -23,18 +23,17 @@ NAMES = [f"test {number}" for number in range(8)]
 
 
 @pytest.fixture
-def found_in(make_record):
+def found_in(batch_of):
     """Return a function that gives the scatter in tests of an integrator with factors on its speed."""
 
     def find(factors, *, names=NAMES, seeds=range(8), shared=True, free=True):
-        records = []
+        tests = []
         for number, (factor, seed) in enumerate(zip(factors, seeds, strict=False)):
             rng = np.random.default_rng(seed)
             command = levels(np.random.default_rng(0 if shared else number), SAMPLES, low=0.2)
             travel = factor * GAIN * held([1.0], [1.0, 0.0], command)
-            records.append(make_record(80.0 + travel + NOISE * rng.standard_normal(SAMPLES), command))
-        batch = Batch.of(records, LIFTING, dead_zone=0.0, sign=1, initial=[80.0] * len(records))
-        objective = Objective.of(batch, INTEGRATOR)
+            tests.append((command, travel + NOISE * rng.standard_normal(SAMPLES)))
+        objective = Objective.of(batch_of(tests), INTEGRATOR)
         return load_scatter(objective, objective.position(np.array([GAIN])), np.array([free]), names)
 
     return find
@@ -49,20 +48,20 @@ def balanced(loads, error):
 
 
 @pytest.mark.parametrize("error", [1e-4, 0.01])
-def test_of_a_balanced_design_scatter_and_interval_are_those_of_textbooks(error):
+def test_a_balanced_design_has_the_textbooks_scatter(error):
     loads = np.random.default_rng(2).normal(0.0, 0.04, 8)
-    found = scatter_of(balanced(loads, error), NAMES)
+    result = scatter_of(balanced(loads, error), NAMES)
     variance, degrees = np.var(loads, ddof=1), 7
-    assert found.scatter == pytest.approx(np.sqrt(variance - error**2), rel=1e-5)
+    assert result.scatter == pytest.approx(np.sqrt(variance - error**2), rel=1e-5)
     quantiles = stats.chi2.ppf([0.975, 0.025], degrees)
-    assert found.interval == pytest.approx(np.sqrt(degrees * variance / quantiles - error**2), rel=1e-6)
-    kept = found.scatter**2 / (found.scatter**2 + error**2)
-    own = np.array([test.speed for test in found.tests])
+    assert result.interval == pytest.approx(np.sqrt(degrees * variance / quantiles - error**2), rel=1e-6)
+    kept = result.scatter**2 / (result.scatter**2 + error**2)
+    own = np.array([test.speed for test in result.tests])
     assert own == pytest.approx(kept * (loads - loads.mean()), rel=1e-4)
-    assert found.shrinkage == pytest.approx(1 - np.sqrt(kept), abs=1e-5)
+    assert result.shrinkage == pytest.approx(1 - np.sqrt(kept), abs=1e-5)
 
 
-def test_the_interval_holds_the_scatter_in_95_of_100_campaigns_whatever_the_errors_are():
+def test_the_interval_holds_the_scatter_in_95_percent():
     rng, campaigns, scatter = np.random.default_rng(3), 2000, 0.015
     sensitivities, directions = 1 / np.array([0.002, 0.01, 0.02, 0.02, 0.04]), np.eye(5)
     held_truth = 0
@@ -74,53 +73,44 @@ def test_the_interval_holds_the_scatter_in_95_of_100_campaigns_whatever_the_erro
 
 
 def test_a_test_that_runs_4_percent_fast_is_named(found_in):
-    found = found_in([1.04, *[1.0] * 7])
+    result = found_in([1.04, *[1.0] * 7])
     # The model's speed is that of all tests: the test is fast by 4 % less its share of their mean.
-    assert found.tests[0].test == "test 0"
-    assert found.tests[0].speed == pytest.approx(0.04 * 7 / 8, abs=1e-3)
-    assert found.scatter == pytest.approx(0.04 / np.sqrt(8), rel=0.02)
-    assert found.determined
-    assert "± 1.4 %" in found.sentence
+    assert result.tests[0].test == "test 0"
+    assert result.tests[0].speed == pytest.approx(0.04 * 7 / 8, abs=1e-3)
+    assert result.scatter == pytest.approx(0.04 / np.sqrt(8), rel=0.02)
+    assert result.determined
+    assert "± 1.4 %" in result.sentence
 
 
-def test_without_scatter_the_interval_begins_at_zero_and_nothing_is_determined(found_in):
-    found = found_in([1.0] * 8)
-    assert found.interval[0] == 0.0
-    assert not found.determined
-    assert "not determined" in found.sentence
-    assert found.scatter < 1e-3  # noise of 0.02 mm in some 100 mm of travel
+@pytest.mark.parametrize(("factor", "shared"), [(1.0, True), (1.05, False)])
+def test_without_scatter_the_interval_begins_at_zero(found_in, factor, shared):
+    result = found_in([factor] * 8, shared=shared)
+    assert result.interval[0] == 0.0
+    assert not result.determined
+    assert "not determined" in result.sentence
+    assert result.scatter < 1e-3  # noise of 0.02 mm in some 100 mm of travel
 
 
 def test_the_order_of_the_tests_makes_no_difference(found_in):
     factors, order = np.array([1.02, 0.97, 1.0, 1.05, 0.99, 1.01, 0.96, 1.0]), np.random.default_rng(4)
     shuffled = order.permutation(8)
     names = [NAMES[number] for number in shuffled]
-    found, other = found_in(factors), found_in(factors[shuffled], names=names, seeds=shuffled)
+    result, other = found_in(factors), found_in(factors[shuffled], names=names, seeds=shuffled)
     # The search for the errors' covariance ends a little elsewhere; the scatter hardly depends on it.
-    assert other.scatter == pytest.approx(found.scatter, rel=1e-4)
+    assert other.scatter == pytest.approx(result.scatter, rel=1e-4)
     speeds = {test.test: test.speed for test in other.tests}
-    assert [test.speed for test in found.tests] == pytest.approx([speeds[n] for n in NAMES], abs=1e-5)
+    assert [test.speed for test in result.tests] == pytest.approx([speeds[n] for n in NAMES], abs=1e-5)
 
 
-def test_a_factor_on_the_gain_that_all_tests_share_is_no_scatter(found_in):
-    found = found_in([1.05] * 8, shared=False)
-    assert found.scatter < 1e-3
-
-
-def test_a_model_keeps_the_scatter_and_one_of_an_older_version_has_none():
-    found = scatter_of(balanced(np.random.default_rng(2).normal(0.0, 0.04, 8), 0.01), NAMES)
-    whole = Uncertainty(Estimates((), (), (), 8, 8), load_scatter=found)
+def test_a_model_keeps_and_tells_its_scatter():
+    result = scatter_of(balanced(np.random.default_rng(2).normal(0.0, 0.04, 8), 0.01), NAMES)
+    whole = Uncertainty(Estimates((), (), (), 8, 8), load_scatter=result)
     described = json.loads(json.dumps(asdict(whole)))
     assert TypeAdapter(Uncertainty).validate_python(described) == whole
     del described["load_scatter"]
     assert TypeAdapter(Uncertainty).validate_python(described).load_scatter is None
-
-
-def test_the_summary_of_a_model_tells_the_scatter():
-    found = scatter_of(balanced(np.random.default_rng(2).normal(0.0, 0.04, 8), 0.01), NAMES)
-    known = {LIFTING: Uncertainty(Estimates((), (), (), 8, 8), load_scatter=found)}
-    shown = repr(replace(handmade.hitch(), uncertainty=known))
-    assert f"load: {found.sentence}" in " ".join(shown.split())
+    summary = repr(replace(handmade.hitch(), uncertainty={LIFTING: whole}))
+    assert f"load: {result.sentence}" in " ".join(summary.split())
 
 
 def test_no_test_runs_backward_by_its_load():
@@ -132,11 +122,8 @@ def test_no_test_runs_backward_by_its_load():
         scatter_of(balanced(np.array([-2.2, 2.6, 0.0]), 0.01), NAMES[:3])
 
 
-def test_two_tests_have_no_scatter(found_in):
+def test_of_two_tests_or_without_estimates_there_is_no_scatter(found_in):
     with pytest.raises(FitError, match="1 differences"):
         found_in([1.0, 1.1], names=NAMES[:2])
-
-
-def test_without_estimates_there_is_no_scatter(found_in):
     with pytest.raises(FitError, match="no parameter of the form was estimated"):
         found_in([1.0] * 8, free=False)

@@ -3,7 +3,6 @@
 import json
 from dataclasses import asdict, replace
 from functools import cache
-from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,15 +13,12 @@ from scipy import signal, stats
 import handmade
 from hitchid.estimation import Objective, refine
 from hitchid.handover.responses import speed_lag, step_times
-from hitchid.identification import direction
 from hitchid.identification.dead_zone import DeadZone
-from hitchid.identification.phase1 import Phase1
 from hitchid.logs.record import LIFTING
-from hitchid.model import Characteristics, Estimates, Uncertainty
+from hitchid.model import Estimates, Uncertainty
 from hitchid.report.parameters_section import characteristic_sentences
 from hitchid.structures import (
     NONLINEARITY_PARAMETERS,
-    Batch,
     ModelSpec,
     PhysicalModel,
     Scales,
@@ -44,15 +40,6 @@ INTEGRATOR = ModelSpec(structure_named("integrator"))
 GAIN, LAG_S, LATE = 30.0, 0.1, 5
 LEVELS = (0.4, 0.7, 1.0)
 SAMPLES = 200
-
-
-@pytest.fixture
-def batch_of(make_record):
-    def make(tests, *, dead_zone=0.0):
-        records = [make_record(80.0 + travel, command) for command, travel in tests]
-        return Batch.of(records, LIFTING, dead_zone=dead_zone, sign=1, initial=[80.0] * len(records))
-
-    return make
 
 
 def step(level, *, rest=20):
@@ -88,33 +75,33 @@ def fitted(batch, form, values, *, error=DeadZoneError(), profiles=()):  # noqa:
     )
 
 
-def test_of_integrators_alike_the_speed_has_students_interval_of_their_gains(batch_of):
+def test_the_speed_of_integrators_has_students_interval(batch_of):
     gains = GAIN * (1 + 0.02 * np.random.default_rng(1).standard_normal(6))
     command = step(0.5)
-    known, _, _ = fitted(
+    outcome, _, _ = fitted(
         batch_of([(command, k * held([1.0], [1.0, 0.0], command)) for k in gains]), INTEGRATOR, [GAIN]
     )
-    (point,) = known.speed_map
+    (point,) = outcome.speed_map
     reach = stats.t.ppf(0.975, gains.size - 1) * gains.std(ddof=1) / np.sqrt(gains.size)
     assert (point.command, point.load, point.determined) == (0.5, None, True)
     assert point.speed == pytest.approx(0.5 * gains.mean(), rel=1e-6)
     assert point.interval == pytest.approx(
         (0.5 * (gains.mean() - reach), 0.5 * (gains.mean() + reach)), rel=1e-5
     )
-    assert (known.delay, known.response_time, known.opening) == (None, None, None)
-    assert known.speed_unit == "mm/s"
+    assert (outcome.delay, outcome.response_time, outcome.opening) == (None, None, None)
+    assert outcome.speed_unit == "mm/s"
 
 
-def test_intervals_hold_the_true_speeds_and_times_as_often_as_they_say(batch_of):
+def test_intervals_hold_the_truth_as_often_as_they_say(batch_of):
     draws, rng = 30, np.random.default_rng(5)
     values, ends = [], []
     for _ in range(draws):
         batch = batch_of(steps(rng, scatter=0.03, noise=0.05))
-        known, _, _ = fitted(batch, FIRST_ORDER, [GAIN, LAG_S, LATE * STEP_S])
-        asked = [*known.speed_map, known.delay, known.response_time]
-        values.append([getattr(each, "speed", None) or each.value for each in asked])
-        ends.append([each.interval for each in asked])
-        assert all(each.determined for each in asked)
+        outcome, _, _ = fitted(batch, FIRST_ORDER, [GAIN, LAG_S, LATE * STEP_S])
+        quantities = [*outcome.speed_map, outcome.delay, outcome.response_time]
+        values.append([getattr(quantity, "speed", None) or quantity.value for quantity in quantities])
+        ends.append([quantity.interval for quantity in quantities])
+        assert all(quantity.determined for quantity in quantities)
     late = LATE * STEP_S
     truth = [*(GAIN * level for level in LEVELS), late - LAG_S * np.log(0.95), late + LAG_S]
     lower, upper = np.moveaxis(np.array(ends), 2, 0)
@@ -125,13 +112,12 @@ def test_intervals_hold_the_true_speeds_and_times_as_often_as_they_say(batch_of)
     assert np.mean(upper - lower, axis=0) == pytest.approx(2 * reach, rel=0.5)
 
 
-def test_at_a_level_that_occurred_the_speed_is_known_though_the_dead_zone_is_not(batch_of):
+def test_a_speed_that_occurred_is_known_without_dead_zone(batch_of):
     tests = steps(np.random.default_rng(2), scatter=0.01, noise=0.0, levels=(0.7,) * 9)
     values = [GAIN * 0.7 / 0.4, LAG_S, LATE * STEP_S]
     sure, _, _ = fitted(batch_of(tests, dead_zone=0.3), FIRST_ORDER, values)
-    vague, moved, _ = fitted(
-        batch_of(tests, dead_zone=0.3), FIRST_ORDER, values, error=DeadZoneError(0.05, 6)
-    )
+    zone = DeadZoneError(0.05, 6)
+    vague, moved, _ = fitted(batch_of(tests, dead_zone=0.3), FIRST_ORDER, values, error=zone)
     # The gain is K (c − d) over c − d: off by 0.05/0.4 with the dead zone, the speed not at all.
     assert moved.by_dead_zone[0] * np.log(1e4) == pytest.approx(0.05 / 0.4, rel=0.2)
     assert vague.speed_map[0].interval == pytest.approx(sure.speed_map[0].interval, rel=1e-4)
@@ -149,21 +135,20 @@ def profile_of(reach, fitness, *, lower=0.4, upper=0.6):
     return make
 
 
-def test_a_profile_widens_a_speed_to_what_still_fits_and_opens_it_where_it_has_no_end(batch_of):
+def test_a_profile_widens_a_speed_or_opens_it(batch_of):
     batch = batch_of(steps(np.random.default_rng(3), scatter=0.01, noise=0.02))
     values = [GAIN, LAG_S, LATE * STEP_S]
     plain, _, _ = fitted(batch, FIRST_ORDER, values)
     ratio = np.exp(0.05 * np.log(1e4))
 
-    def told(*profiles):
+    def profiled(*profiles):
         return fitted(batch, FIRST_ORDER, values, profiles=profiles)[0].speed_map[1]
 
     point = plain.speed_map[1]
-    assert told(profile_of(0.05, [1.1, 1.0, 1.1])).interval == pytest.approx(
-        (point.speed / ratio, point.speed * ratio), rel=1e-6
-    )
-    assert told(profile_of(0.05, [3.0, 1.0, 3.0])).interval == pytest.approx(point.interval)
-    opened = told(profile_of(0.05, [1.1, 1.0, 1.1], upper=None))
+    widened = profiled(profile_of(0.05, [1.1, 1.0, 1.1])).interval
+    assert widened == pytest.approx((point.speed / ratio, point.speed * ratio), rel=1e-6)
+    assert profiled(profile_of(0.05, [3.0, 1.0, 3.0])).interval == pytest.approx(point.interval)
+    opened = profiled(profile_of(0.05, [1.1, 1.0, 1.1], upper=None))
     assert opened.interval[1] is None
     assert not opened.determined
 
@@ -187,8 +172,10 @@ def test_steady_speed_follows_the_valve_curve_and_the_load():
     v = np.maximum(z - 0.05 * load - 0.1, 0) ** 1.5
     w = 2.0 * v / (1 + (v / 0.6) ** 4) ** 0.25
     expected = 20.0 * w * np.exp(-0.3 / 3 - 0.2 * load)
-    found = speeds_at(benchmark, jnp.asarray(commands), jnp.full(3, 100.0), jnp.asarray(loads)[:, None], 0.3)
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    computed = speeds_at(
+        benchmark, jnp.asarray(commands), jnp.full(3, 100.0), jnp.asarray(loads)[:, None], 0.3
+    )
+    np.testing.assert_allclose(computed, expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize(("omega", "damping"), [(12.0, 0.3), (5.0, 1.0), (40.0, 8.0)])
@@ -197,54 +184,61 @@ def test_delay_and_response_time_are_those_of_the_step_response(omega, damping):
     benchmark = PhysicalModel(structure, jnp.asarray([30.0, omega, damping]), jnp.asarray(0.07))
     (num,), den = second_order(1.0, omega, damping)
     time_s, speed = signal.step(([num], den[:-1]), T=np.linspace(0, 40 * damping / omega, 200_001))
-    for found, part in zip(
+    for computed, part in zip(
         step_times(benchmark, 1.0, 0.3, speed_lag(structure, np.asarray(benchmark.values))),
         (0.05, 1 - np.exp(-1)),
         strict=True,
     ):
         exact = time_s[np.argmax(speed >= part)]
-        assert float(found) == pytest.approx(0.07 + exact, abs=0.01 * exact + 1e-4)
+        assert float(computed) == pytest.approx(0.07 + exact, abs=0.01 * exact + 1e-4)
 
 
-def test_a_lagging_spool_delays_motion_until_it_has_passed_the_dead_zone():
+def test_a_lagging_spool_delays_motion():
     benchmark = PhysicalModel(
         INTEGRATOR.structure, jnp.asarray([30.0]), jnp.asarray(0.02), shaped(spool_lag=0.2)
     )
     delay, response_time = step_times(benchmark, 1.0, 0.5, 0.0)
     # c (1 − exp(−t/τ)) − d is a part p of c − d at t = τ ln(c / ((1 − p) (c − d))).
-    for found, part in ((delay, 0.05), (response_time, 1 - np.exp(-1))):
-        assert float(found) == pytest.approx(0.02 + 0.2 * np.log(2 / (1 - part)), rel=0.01)
+    for computed, part in ((delay, 0.05), (response_time, 1 - np.exp(-1))):
+        assert float(computed) == pytest.approx(0.02 + 0.2 * np.log(2 / (1 - part)), rel=0.01)
 
 
-def test_levels_are_those_at_which_tests_stood_else_a_grid_within_what_occurred(batch_of):
+def test_levels_are_those_of_tests_or_a_grid(batch_of):
     rng = np.random.default_rng(0)
     stood = [(step(level) + 1e-3 * rng.standard_normal(SAMPLES), np.zeros(SAMPLES)) for level in LEVELS]
     assert operating_levels(batch_of(stood), 0.1) == pytest.approx(LEVELS, abs=1e-3)
     swung = 0.6 + 0.3 * np.sin(np.arange(SAMPLES) / 9)
-    found = operating_levels(batch_of([(swung, np.zeros(SAMPLES))]), 0.5)
-    assert found.size == 7
-    assert np.ptp(np.diff(found)) == pytest.approx(0, abs=1e-12)
-    assert 0.5 < found[0] < found[-1] < 0.9
+    computed = operating_levels(batch_of([(swung, np.zeros(SAMPLES))]), 0.5)
+    assert computed.size == 7
+    assert np.ptp(np.diff(computed)) == pytest.approx(0, abs=1e-12)
+    assert 0.5 < computed[0] < computed[-1] < 0.9
     assert operating_levels(batch_of([(swung, np.zeros(SAMPLES))]), 2.0).size == 0
 
 
 def test_measured_speeds_are_those_of_the_plant_around_mid_stroke(batch_of):
     batch = batch_of(steps(np.random.default_rng(0), scatter=0.0, noise=0.0, levels=(1.0, 0.95, -0.9)))
-    found = measured_speeds(batch, 0.3, 0.15, None)
-    assert [each.command for each in found] == pytest.approx([0.9, 0.95, 1.0])
-    assert [each.speed for each in found] == pytest.approx([0.9 * GAIN, 0.95 * GAIN, GAIN], rel=0.01)
-
-
-def test_a_factor_on_the_gain_scales_speeds_and_their_intervals_and_a_description_comes_back(batch_of):
-    known, _, _ = fitted(
-        batch_of(steps(np.random.default_rng(4), scatter=0.01, noise=0.02)), FIRST_ORDER, [GAIN, LAG_S, 0.05]
+    computed = measured_speeds(batch, 0.3, 0.15, None)
+    assert [quantity.command for quantity in computed] == pytest.approx([0.9, 0.95, 1.0])
+    assert [quantity.speed for quantity in computed] == pytest.approx(
+        [0.9 * GAIN, 0.95 * GAIN, GAIN], rel=0.01
     )
-    scaled = known.scaled(1.1)
-    for before, after in zip(known.speed_map, scaled.speed_map, strict=True):
+
+
+def test_characteristics_are_told_scaled_with_the_gain_and_read_back(batch_of):
+    batch = batch_of(steps(np.random.default_rng(4), scatter=0.01, noise=0.02))
+    outcome, _, _ = fitted(batch, FIRST_ORDER, [GAIN, LAG_S, 0.05])
+    zone, speeds, times = characteristic_sentences(outcome, LIFTING)
+    point = outcome.speed_map[-1]
+    assert zone == "dead zone 0 A"
+    assert f"{point.speed:.3g} mm/s ({point.interval[0]:.4g} … {point.interval[1]:.4g}) at 1 A" in speeds
+    assert speeds.startswith("the piston lifts at mid stroke")
+    assert times.startswith("after a step to 0.7 A motion starts")
+    scaled = outcome.scaled(1.1)
+    for before, after in zip(outcome.speed_map, scaled.speed_map, strict=True):
         assert (after.speed, *after.interval) == pytest.approx(
             [1.1 * v for v in (before.speed, *before.interval)]
         )
-    assert replace(scaled, speed_map=known.speed_map) == known
+    assert replace(scaled, speed_map=outcome.speed_map) == outcome
     whole = Uncertainty(Estimates((), (), (), 3, 3), characteristics=scaled)
     described = json.loads(json.dumps(asdict(whole)))
     assert TypeAdapter(Uncertainty).validate_python(described) == whole
@@ -257,32 +251,10 @@ def test_a_structure_without_a_steady_speed_has_no_speed_map(batch_of):
     misfit = Objective.of(batch, ModelSpec(structure_named("inertia-with-friction")))
     zone = DeadZone(0.0, None, 0, "structure")
     none = np.zeros((1, 8))
-    moved = Influence(
-        none, none[0], none[0], none, Scores(none, np.zeros((1, 8, 8))), np.ones(8, bool), none[:1]
-    )
-    found = characteristics(
-        misfit,
-        np.full(8, 0.5),
-        moved,
-        dead_zone=zone.to_quantity("A"),
-        dead_zone_error=zone.error,
-        units=UNITS,
-    )
-    assert found is None
-
-
-def test_what_cannot_be_computed_is_left_out_with_a_notice(monkeypatch):
-    def fails(*_, **__):
-        raise FloatingPointError("too large")
-
-    monkeypatch.setattr(direction, "characteristics", fails)
-    phase1 = object.__new__(Phase1)
-    moved = SimpleNamespace(free=np.ones(1, bool))
-    vars(phase1).update(fit=SimpleNamespace(objective=None, position=None), influence=moved)
-    said = []
-    assert direction._characteristics(DeadZone(0.3, None, 0, "given"), phase1, UNITS, said) is None
-    part = "speed map, delay and response time"
-    assert said[0] == f"could not be computed: {part} (FloatingPointError: too large)"
+    scores = Scores(none, np.zeros((1, 8, 8)))
+    moved = Influence(none, none[0], none[0], none, scores, np.ones(8, bool), none[:1])
+    zones = {"dead_zone": zone.to_quantity("A"), "dead_zone_error": zone.error}
+    assert characteristics(misfit, np.full(8, 0.5), moved, **zones, units=UNITS) is None
 
 
 @pytest.mark.parametrize(
@@ -296,19 +268,6 @@ def test_what_cannot_be_computed_is_left_out_with_a_notice(monkeypatch):
     ],
 )
 def test_a_dead_zone_is_determined_by_its_standard_error(zone, interval, determined):
-    known = zone.to_quantity("A")
-    assert known.determined is determined
-    assert known.interval == (interval if None in interval else pytest.approx(interval, rel=1e-3))
-
-
-def test_characteristics_are_told_in_plain_words(batch_of):
-    known, _, _ = fitted(
-        batch_of(steps(np.random.default_rng(4), scatter=0.01, noise=0.02)), FIRST_ORDER, [GAIN, LAG_S, 0.05]
-    )
-    assert isinstance(known, Characteristics)
-    zone, speeds, times = characteristic_sentences(known, LIFTING)
-    point = known.speed_map[-1]
-    assert zone == "dead zone 0 A"
-    assert f"{point.speed:.3g} mm/s ({point.interval[0]:.4g} … {point.interval[1]:.4g}) at 1 A" in speeds
-    assert speeds.startswith("the piston lifts at mid stroke")
-    assert times.startswith("after a step to 0.7 A motion starts")
+    outcome = zone.to_quantity("A")
+    assert outcome.determined is determined
+    assert outcome.interval == (interval if None in interval else pytest.approx(interval, rel=1e-3))

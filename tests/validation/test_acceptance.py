@@ -1,11 +1,10 @@
 """Acceptance: limits as files have them, verdicts by hand, and words that agree with them."""
 
 import json
-from copy import deepcopy
 from fractions import Fraction
 
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid._support.metrics import HORIZONS
@@ -32,6 +31,7 @@ free_run = { rmse = 3 }
 """
 
 lengths = st.floats(1e-6, 1e6)
+ratios = st.floats(-1e-3, 1e-3) | st.sampled_from([-3e-16, 0.0, 3e-16])
 
 
 def figures(rmse=0.3, **others):
@@ -66,10 +66,6 @@ def campaign(unit="mm"):
     return {"unit": unit, "channels": {"lifting": direction()}, "cycles": cycles}
 
 
-def run_figures(figures):
-    return RunFigures(**figures)
-
-
 def accuracy(section):
     """Return the record of one direction, or of the cycles."""
     models = {name: section[name] for name in section if name in BASELINES or name == "greybox"}
@@ -77,11 +73,11 @@ def accuracy(section):
     bands = section.get("bands")
     return Accuracy(
         models={
-            name: ModelFigures(**{run: run_figures(found) for run, found in runs.items()})
+            name: ModelFigures(**{run: RunFigures(**row) for run, row in runs.items()})
             for name, runs in {**models, **section.get("baselines", {})}.items()
         },
         horizons=Horizons(tuple(section["horizons"]["steps"]), horizons),
-        per_test={name: run_figures(found["free_run"]) for name, found in section["per_test"].items()},
+        per_test={name: RunFigures(**runs["free_run"]) for name, runs in section["per_test"].items()},
         predictions=Predictions(tuple(section["tests"]), (), (), {}),
         bands=bands and BandFigures(bands["coverage"], bands["free_run"]["covered"], None, 1.0),
     )
@@ -89,8 +85,7 @@ def accuracy(section):
 
 def check_limits(metrics, limits):
     sections = metrics["channels"] | {"cycles": metrics["cycles"]}
-    found = {name: accuracy(section) for name, section in sections.items() if section["tests"]}
-    return check_figures(metrics["unit"], found, limits)
+    return check_figures(metrics["unit"], {name: accuracy(s) for name, s in sections.items()}, limits)
 
 
 def limits_of(mode="lifting", unit="mm", **demanded):
@@ -125,14 +120,8 @@ def test_a_file_is_read_as_it_stands(read):
     assert (limits.unit, list(limits.by_direction)) == ("mm", ["lifting", "cycles"])
     lifting = limits.by_direction["lifting"]
     assert lifting.tests == 4
-    assert lifting.free_run.model_dump() == {
-        "rmse": 0.5,
-        "mae": 0.4,
-        "max_abs": 2.0,
-        "r2": 0.99,
-        "fit": 95.0,
-        "within_1": 95.0,
-    }
+    expected = {"rmse": 0.5, "mae": 0.4, "max_abs": 2.0, "r2": 0.99, "fit": 95.0, "within_1": 95.0}
+    assert lifting.free_run.model_dump() == expected
     assert lifting.horizon == {10: 0.2, 100: 0.5}
     assert lifting.coverage == (80.0, 97.0)
     assert lifting.better_than == ("persistence", "transfer_function")
@@ -164,88 +153,65 @@ def test_every_limit_of_a_file_gets_a_verdict(read):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
-        ("", "key 'unit': expected a value, got none"),
-        ('unit = "mm"', "is empty; expected at least one of lifting, lowering, cycles"),
-        ('unit = "mm"\n[lifting]', "key 'lifting': is empty; expected at least one of tests"),
-        ('unit = "mm"\nlifting.one_step = {}', "key 'lifting.one_step': is empty"),
-        ('unit = "mm"\nlifting.horizon = {}', "key 'lifting.horizon': is empty"),
-        ('unit = "mm"\nlifting.better_than = []', "key 'lifting.better_than': is empty"),
+        ("", "is empty; expected at least one of lifting, lowering, cycles"),
+        ("[lifting]", "key 'lifting': is empty; expected at least one of tests"),
+        ("lifting.one_step = {}", "key 'lifting.one_step': is empty"),
+        ("lifting.horizon = {}", "key 'lifting.horizon': is empty"),
+        ("lifting.better_than = []", "key 'lifting.better_than': is empty"),
+        ("raising.tests = 1", "key 'raising' is not known; expected one of unit, lifting"),
+        ("lifting.tets = 1", "key 'lifting.tets' is not known; did you mean 'tests'"),
+        ("lifting.free_run.rsme = 1", "rsme' is not known; did you mean 'rmse'"),
+        ("lifting.tests = 0", "key 'lifting.tests': expected at least 1, got 0"),
+        ("lifting.tests = 1.5", "key 'lifting.tests': expected a whole number, got 1.5"),
+        ("lifting.tests = true", "key 'lifting.tests': expected a whole number, got true"),
+        ("lifting.free_run = 1", "key 'lifting.free_run': expected a table, got 1"),
+        ('lifting.free_run.mae = "1"', "mae': expected a number, got '1'"),
+        ("lifting.free_run.mae = true", "mae': expected a number, got true"),
+        ("lifting.free_run.mae = -1.5", "mae': expected a number above 0, got -1.5"),
+        ("lifting.free_run.mae = nan", "mae': expected a finite number, got nan"),
+        ("lifting.free_run.r2 = 99", "r2': expected at most 1, got 99"),
+        ("lifting.free_run.fit = 101", "fit': expected at most 100, got 101"),
+        ("lifting.free_run.within_1 = 101", "within_1': expected at most 100, got 101"),
+        ("lifting.horizon = { 3 = 1 }", "'lifting.horizon': got '3' .*expected one of 1, 2, 5"),
+        ("lifting.horizon = { 010 = 1 }", "'lifting.horizon': got '010'"),
+        ("lifting.horizon = { 10 = 0 }", "horizon.10': expected a number above 0, got 0"),
+        ("lifting.horizon = 10", "'lifting.horizon': expected a table, got 10"),
+        ("lifting.coverage = 90", "'lifting.coverage': expected a list, got 90"),
+        ("lifting.coverage = [90]", "'lifting.coverage.1': expected a value, got none"),
+        ("lifting.coverage = [97, 80]", r"'lifting.coverage': got \[97.0, 80.0\], expected"),
+        ("lifting.coverage = [0, 80]", "'lifting.coverage.0': expected a number above 0, got 0"),
+        ("lifting.coverage = [80, 101]", "'lifting.coverage.1': expected at most 100, got 101"),
+        ('lifting.better_than = ["greybox"]', "got 'greybox', expected one of persistence"),
+        ('lifting.better_than = ["arx", "arx"]', "got arx, arx, expected each once"),
+        ('lifting.better_than = "arx"', "'lifting.better_than': expected a list, got 'arx'"),
+        *((f"lifting.worst_test.{key} = 0", rf"'lifting\.worst_test\.{key}'") for key in figures()),
+    ],
+)
+def test_a_wrong_file_is_refused_with_its_key(read, text, message):
+    with pytest.raises(SettingsError, match=rf"limits\.toml: .*{message}"):
+        read(f'unit = "mm"\n{text}')
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
         ("lifting.tests = 1", "key 'unit': expected a value, got none"),
         ('unit = "ell"\nlifting.tests = 1', "key 'unit': expected one of A, mA, .*got 'ell'"),
-        ('unit = "mm"\nraising.tests = 1', "key 'raising' is not known; expected one of unit, lifting"),
-        ('unit = "mm"\nlifting.tets = 1', "key 'lifting.tets' is not known; did you mean 'tests'"),
-        (
-            'unit = "mm"\nlifting.free_run.rsme = 1',
-            "rsme' is not known; did you mean 'rmse'",
-        ),
-        ('unit = "mm"\nlifting.tests = 0', "key 'lifting.tests': expected at least 1, got 0"),
-        ('unit = "mm"\nlifting.tests = 1.5', "key 'lifting.tests': expected a whole number, got 1.5"),
-        ('unit = "mm"\nlifting.tests = true', "key 'lifting.tests': expected a whole number, got true"),
-        ('unit = "mm"\nlifting.free_run = 1', "key 'lifting.free_run': expected a table, got 1"),
-        ('unit = "mm"\nlifting.free_run.mae = "1"', "mae': expected a number, got '1'"),
-        (
-            'unit = "mm"\nlifting.free_run.mae = true',
-            "mae': expected a number, got true",
-        ),
-        (
-            'unit = "mm"\nlifting.free_run.mae = 0',
-            "mae': expected a number above 0, got 0",
-        ),
-        (
-            'unit = "mm"\nlifting.free_run.mae = -1.5',
-            "mae': expected a number above 0, got -1.5",
-        ),
-        (
-            'unit = "mm"\nlifting.free_run.mae = nan',
-            "mae': expected a finite number, got nan",
-        ),
-        (
-            'unit = "mm"\nlifting.free_run.mae = inf',
-            "mae': expected a finite number, got inf",
-        ),
-        ('unit = "mm"\nlifting.free_run.r2 = 99', "r2': expected at most 1, got 99"),
-        (
-            'unit = "mm"\nlifting.free_run.fit = 101',
-            "fit': expected at most 100, got 101",
-        ),
-        ('unit = "mm"\nlifting.free_run.within_1 = 101', "within_1': expected at most 100, got 101"),
-        ('unit = "mm"\nlifting.horizon = { 3 = 1 }', "'lifting.horizon': got '3' .*expected one of 1, 2, 5"),
-        ('unit = "mm"\nlifting.horizon = { 010 = 1 }', "'lifting.horizon': got '010'"),
-        (
-            'unit = "mm"\nlifting.horizon = { 10 = 0 }',
-            "horizon.10': expected a number above 0, got 0",
-        ),
-        ('unit = "mm"\nlifting.horizon = 10', "'lifting.horizon': expected a table, got 10"),
-        ('unit = "mm"\nlifting.coverage = 90', "'lifting.coverage': expected a list, got 90"),
-        ('unit = "mm"\nlifting.coverage = [90]', "'lifting.coverage.1': expected a value, got none"),
-        ('unit = "mm"\nlifting.coverage = [97, 80]', r"'lifting.coverage': got \[97.0, 80.0\], expected"),
-        ('unit = "mm"\nlifting.coverage = [0, 80]', "'lifting.coverage.0': expected a number above 0, got 0"),
-        ('unit = "mm"\nlifting.coverage = [80, 101]', "'lifting.coverage.1': expected at most 100, got 101"),
-        ('unit = "mm"\nlifting.better_than = ["me"]', "'lifting.better_than': got 'me', expected one of"),
-        ('unit = "mm"\nlifting.better_than = ["greybox"]', "got 'greybox', expected one of persistence"),
-        ('unit = "mm"\nlifting.better_than = ["arx", "arx"]', "got arx, arx, expected each once"),
-        ('unit = "mm"\nlifting.better_than = "arx"', "'lifting.better_than': expected a list, got 'arx'"),
         ("unit = ", "is not valid TOML"),
         (b"unit = \xff", "cannot be read"),
     ],
 )
-def test_what_is_wrong_in_a_file_is_told_with_file_and_key(read, text, said):
-    with pytest.raises(SettingsError, match=rf"limits\.toml: .*{said}"):
+def test_a_file_without_a_unit_or_toml_is_refused(read, text, message):
+    with pytest.raises(SettingsError, match=rf"limits\.toml: .*{message}"):
         read(text)
 
 
-@pytest.mark.parametrize("key", figures())
-def test_a_limit_of_a_figure_is_a_positive_number(read, key):
-    with pytest.raises(SettingsError, match=rf"'lifting\.worst_test\.{key}'"):
-        read(f'unit = "mm"\nlifting.worst_test.{key} = 0')
-
-
 def test_a_file_that_is_missing_or_a_folder_is_told(tmp_path):
-    for place in (tmp_path / "none.toml", tmp_path):
-        with pytest.raises(SettingsError, match=rf"{place.name}: cannot be read"):
-            read_limits(place)
+    for path in (tmp_path / "none.toml", tmp_path):
+        with pytest.raises(SettingsError, match=rf"{path.name}: cannot be read"):
+            read_limits(path)
 
 
 # Verdicts.
@@ -291,12 +257,6 @@ def test_the_worst_test_is_named_whatever_its_place():
     assert only(metrics, limits_of(worst_test={"r2": 0.9})).figure == "0.5 in up-2"
 
 
-@pytest.mark.parametrize(("at_least", "passes"), [(3, True), (4, True), (5, False)])
-def test_unseen_tests_are_counted(at_least, passes):
-    check = only(campaign(), limits_of(tests=at_least))
-    assert (check.figure, check.passed) == ("4", passes)
-
-
 @pytest.mark.parametrize(
     ("covered", "passes"), [(0.7999, False), (0.8, True), (0.9, True), (0.97, True), (0.9701, False)]
 )
@@ -307,6 +267,10 @@ def test_coverage_is_bounded_on_both_sides(covered, passes):
 
 
 def test_better_means_a_lower_rmse_in_every_run_of_both():
+    assert verdicts(campaign(), limits_of("cycles", better_than=["benchmark", "persistence"])) == {
+        "cycles: free run vs benchmark, RMSE": True,
+        "cycles: one step vs persistence, RMSE": True,
+    }
     metrics = campaign()
     metrics["channels"]["lifting"]["baselines"]["arx"] = {"one_step": figures(0.1), "free_run": figures(0.31)}
     limits = limits_of(better_than=["arx", "benchmark"])
@@ -314,13 +278,6 @@ def test_better_means_a_lower_rmse_in_every_run_of_both():
         "lifting: one step vs arx, RMSE": False,
         "lifting: free run vs arx, RMSE": True,
         "lifting: free run vs benchmark, RMSE": True,
-    }
-
-
-def test_cycles_find_their_baselines_in_their_own_layout():
-    assert verdicts(campaign(), limits_of("cycles", better_than=["benchmark", "persistence"])) == {
-        "cycles: free run vs benchmark, RMSE": True,
-        "cycles: one step vs persistence, RMSE": True,
     }
 
 
@@ -335,8 +292,12 @@ def test_what_diverged_is_nothing_to_be_better_than(ours):
     assert ("benchmark" in check.figure) == (ours is not None)
 
 
+TOO_SHORT = "missing: the tests are too short; the longest horizon they allow"
+NOT_IN_COMMON = "missing: no run (one step or free run) that the grey box and the baseline have in common"
+
+
 @pytest.mark.parametrize(
-    ("mode", "demanded", "found"),
+    ("mode", "demanded", "figure"),
     [
         ("lowering", {"tests": 1}, "0"),
         ("lowering", {"free_run": {"rmse": 9}}, "missing: no unseen test"),
@@ -344,70 +305,32 @@ def test_what_diverged_is_nothing_to_be_better_than(ours):
         ("lowering", {"horizon": {"10": 9}}, "missing: no unseen test"),
         ("lowering", {"coverage": [1, 100]}, "missing: no unseen test"),
         ("lowering", {"better_than": ["arx"]}, "missing: no unseen test"),
-        (
-            "lifting",
-            {"horizon": {"50": 9}},
-            "missing: the tests are too short; the longest horizon they allow is 10 samples",
-        ),
+        ("lifting", {"horizon": {"50": 9}}, f"{TOO_SHORT} is 10 samples"),
         ("lifting", {"better_than": ["arx"]}, "missing: no such baseline"),
-        (
-            "lifting",
-            {"better_than": ["lstm"]},
-            "missing: no run (one step or free run) that the grey box and the baseline have in common",
-        ),
+        ("lifting", {"better_than": ["lstm"]}, NOT_IN_COMMON),
         ("lifting", {"one_step": {"rmse": 9}}, "missing: no one step"),
         ("cycles", {"coverage": [1, 100]}, "missing: no bands"),
     ],
 )
-def test_what_is_missing_fails_and_is_named(mode, demanded, found):
+def test_what_is_missing_fails_and_is_named(mode, demanded, figure):
     metrics = campaign()
     lifting = metrics["channels"]["lifting"]
     lifting["horizons"] = {"steps": [1, 10], "greybox": [0.1, 0.2]}
     lifting["baselines"]["lstm"] = {"one_step": figures(9.0)}
     del lifting["greybox"]["one_step"]
     check = only(metrics, limits_of(mode, **demanded))
-    assert (check.direction, check.figure, check.passed) == (mode, found, False)
+    assert (check.direction, check.figure, check.passed) == (mode, figure, False)
 
 
-def test_cycles_that_were_not_driven_keep_no_limit():
-    metrics = campaign() | {"cycles": {"tests": []}}
-    demanded = {"tests": 1, "free_run": {"rmse": 9}, "horizon": {"1": 9}, "better_than": ["benchmark"]}
-    checks = check_limits(metrics, limits_of("cycles", **demanded)).checks
-    assert [(check.figure, check.passed) for check in checks] == [
-        ("0", False),
-        *[("missing: no unseen test", False)] * 3,
-    ]
-
-
-def test_a_horizon_that_diverged_keeps_no_limit():
-    metrics = campaign()
-    metrics["channels"]["lifting"]["horizons"]["greybox"][1] = None
-    check = only(metrics, limits_of(horizon={"10": 9}))
-    assert (check.figure, check.passed) == ("diverged", False)
-
-
-def test_one_failed_check_fails_the_whole_and_all_is_told_as_json():
+def test_one_failed_check_fails_the_whole():
     outcome = check_limits(campaign(), limits_of(free_run={"rmse": 0.2, "mae": 0.4}))
-    told = json.loads(json.dumps(outcome.describe()))
-    assert told == {
-        "passed": False,
-        "checks": [
-            {
-                "mode": "lifting",
-                "name": "lifting: free run, RMSE",
-                "limit": "at most 0.2 mm",
-                "found": "0.3 mm",
-                "passed": False,
-            },
-            {
-                "mode": "lifting",
-                "name": "lifting: free run, MAE",
-                "limit": "at most 0.4 mm",
-                "found": "0.2 mm",
-                "passed": True,
-            },
-        ],
-    }
+    keys = ("mode", "name", "limit", "found", "passed")
+    rows = (
+        ("lifting", "lifting: free run, RMSE", "at most 0.2 mm", "0.3 mm", False),
+        ("lifting", "lifting: free run, MAE", "at most 0.4 mm", "0.2 mm", True),
+    )
+    checks = [dict(zip(keys, row, strict=True)) for row in rows]
+    assert json.loads(json.dumps(outcome.describe())) == {"passed": False, "checks": checks}
 
 
 # Units.
@@ -437,12 +360,9 @@ def test_errors_are_converted_to_the_unit_of_the_limits(logs, figure, limits, at
         assert all(Fraction(check.figure.split()[0]) == Fraction(str(at)) for check in checks)
 
 
-def test_shares_are_not_converted():
+def test_shares_are_not_converted_and_errors_of_baselines_are():
     demanded = {"free_run": {"r2": 0.999, "fit": 97.5}, "coverage": [90, 90], "tests": 4}
     assert check_limits(campaign("mm"), limits_of(unit="m", **demanded)).passed
-
-
-def test_both_figures_of_a_comparison_are_told_in_the_unit_of_the_limits():
     check = only(campaign("mm"), limits_of(unit="m", better_than=["benchmark"]))
     assert (check.figure, check.limit, check.passed) == ("0.0003 m", "below 0.0006 m", True)
 
@@ -469,35 +389,36 @@ def number(text):
     return next(Fraction(word) for word in text.split() if word[0] in "-0123456789")
 
 
-def checked(figure, limit, key="rmse"):
+def checked(figure, limit, key="rmse", unit="mm"):
     metrics = campaign()
     metrics["channels"]["lifting"]["greybox"]["free_run"][key] = figure
-    return only(metrics, limits_of(free_run={key: limit}))
+    return only(metrics, limits_of(unit=unit, free_run={key: limit}))
 
 
-def test_a_figure_just_beyond_its_limit_is_told_with_digits_enough():
+def test_a_figure_just_beyond_has_enough_digits():
     check = checked(0.50004, 0.5)
     assert (check.figure, check.limit, check.passed) == ("0.50004 mm", "at most 0.5 mm", False)
     assert checked(0.50004, 0.6).figure == "0.500 mm"
     assert checked(0.5, 0.5).figure == "0.5 mm"
 
 
-@given(limit=lengths, ratio=st.floats(-1e-3, 1e-3) | st.sampled_from([-3e-16, 0.0, 3e-16]))
-def test_words_never_contradict_a_limit_of_an_error(limit, ratio):
-    figure = limit * (1 + ratio)
-    check = checked(figure, limit)
-    assert check.passed == (figure <= limit)
+@given(limit=lengths, ratio=ratios, unit=st.sampled_from(["mm", "m", "cm", "in"]))
+def test_words_never_contradict_a_limit_of_an_error(limit, ratio, unit):
+    factor = {"mm": 1.0, "m": 1e3, "cm": 10.0, "in": 25.4}[unit]
+    check = checked(limit * factor * (1 + ratio), limit, unit=unit)
     assert check.passed == (number(check.figure) <= number(check.limit))
     assert float(number(check.limit)) == limit
+    # Beyond the rounding of the conversion.
+    assert check.passed == (ratio <= 0) or abs(ratio) < 1e-12
 
 
-@given(limit=st.floats(1e-3, 100), ratio=st.floats(-1e-3, 1e-3) | st.sampled_from([-3e-16, 0.0, 3e-16]))
+@given(limit=st.floats(1e-3, 100), ratio=ratios)
 def test_words_never_contradict_a_limit_of_a_share(limit, ratio):
     check = checked(limit * (1 + ratio) / 100, limit, "within_1")
     assert check.passed == (number(check.figure) >= number(check.limit))
 
 
-@given(ours=lengths, ratio=st.floats(-1e-3, 1e-3) | st.sampled_from([-3e-16, 0.0, 3e-16]))
+@given(ours=lengths, ratio=ratios)
 def test_words_never_contradict_a_comparison(ours, ratio):
     theirs = ours * (1 + ratio)
     metrics = campaign()
@@ -506,17 +427,6 @@ def test_words_never_contradict_a_comparison(ours, ratio):
     check = only(metrics, limits_of(better_than=["benchmark"]))
     assert check.passed == (ours < theirs)
     assert check.passed == (number(check.figure) < number(check.limit))
-
-
-@given(figure=lengths, unit=st.sampled_from(["m", "cm", "in"]), ratio=st.floats(-1e-3, 1e-3))
-def test_words_never_contradict_a_limit_in_another_unit(figure, unit, ratio):
-    factor = {"m": 1e-3, "cm": 0.1, "in": 1 / 25.4}[unit]
-    metrics = campaign()
-    metrics["channels"]["lifting"]["greybox"]["free_run"]["rmse"] = figure
-    check = only(metrics, limits_of(unit=unit, free_run={"rmse": figure * factor * (1 + ratio)}))
-    assert check.passed == (number(check.figure) <= number(check.limit))
-    assume(abs(ratio) > 1e-12)
-    assert check.passed == (ratio > 0)
 
 
 runs = st.fixed_dictionaries(
@@ -544,47 +454,18 @@ def validated(draw):
     """Return metrics of lifting whose figures are whatever they like, diverged too."""
     metrics = campaign()
     lifting = metrics["channels"]["lifting"]
-    told = st.fixed_dictionaries(dict.fromkeys(figures(), measured))
-    lifting["greybox"] = {"one_step": draw(told), "free_run": draw(told)}
-    lifting["per_test"] = {name: {"free_run": draw(told)} for name in lifting["tests"]}
+    run = st.fixed_dictionaries(dict.fromkeys(figures(), measured))
+    lifting["greybox"] = {"one_step": draw(run), "free_run": draw(run)}
+    lifting["per_test"] = {name: {"free_run": draw(run)} for name in lifting["tests"]}
     lifting["horizons"] = {"steps": [1, 10], "greybox": [draw(measured), draw(measured)]}
     lifting["bands"]["free_run"]["covered"] = draw(st.floats(0, 1))
     return metrics
-
-
-def loosened(demanded, factor):
-    """Return demands of which each is lighter by a factor above 1."""
-    lighter = deepcopy(demanded)
-    for run in ("free_run", "one_step", "worst_test"):
-        for key, limit in lighter.get(run, {}).items():
-            lighter[run][key] = limit * factor if key in ("rmse", "mae", "max_abs") else limit / factor
-    lighter["horizon"] = {steps: factor * limit for steps, limit in lighter.get("horizon", {}).items()}
-    low, high = lighter.get("coverage", (1.0, 100.0))
-    lighter["coverage"] = (low / factor, min(100.0, high * factor))
-    lighter["tests"] = max(1, int(lighter.get("tests", 1) / factor))
-    return {key: value for key, value in lighter.items() if key in demanded}
-
-
-@given(metrics=validated(), demanded=demands, factor=st.floats(1, 10))
-def test_a_lighter_demand_turns_no_pass_into_a_failure(metrics, demanded, factor):
-    before = verdicts(metrics, limits_of(**demanded))
-    after = verdicts(metrics, limits_of(**loosened(demanded, factor)))
-    assert before.keys() == after.keys()
-    assert all(after[name] for name, passed in before.items() if passed)
 
 
 @given(metrics=validated(), demanded=demands)
 def test_nothing_passes_without_a_number(metrics, demanded):
     for check in check_limits(metrics, limits_of(**demanded)).checks:
         assert check.figure[0].isdigit() or not check.passed
-
-
-@pytest.mark.parametrize("name", BASELINES)
-def test_every_baseline_of_the_tables_may_be_demanded(name):
-    metrics = campaign()
-    metrics["channels"]["lifting"]["baselines"][name] = {"free_run": figures(0.31)}
-    metrics["channels"]["lifting"]["benchmark"] = {"free_run": figures(0.31)}
-    assert verdicts(metrics, limits_of(better_than=[name])) == {f"lifting: free run vs {name}, RMSE": True}
 
 
 def test_a_line_stays_one_line_whatever_a_log_is_called():

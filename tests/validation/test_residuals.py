@@ -1,7 +1,7 @@
 """Residual tests: their level and their power against known errors, and what holds for all errors."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -37,43 +37,42 @@ def held_command(rng, samples, hold=10):
 
 
 def test_white_normal_errors_pass_all_tests_at_their_level():
-    found = []
+    tests = []
     for seed in range(SEEDS):
         rng = np.random.default_rng(seed)
         errors = [rng.normal(0.3, 2.0, n) for n in (300, 500)]
-        found.append(found_in(errors, [held_command(rng, e.size) for e in errors]))
+        tests.append(found_in(errors, [held_command(rng, e.size) for e in errors]))
     # At 1 % seven or more of 200 are rejected in 1 of 200 cases.
-    for each in ("white", "independent", "normal"):
-        assert np.mean([getattr(result, each) for result in found]) >= 0.97
-    outside = np.mean([np.abs(r.autocorrelation) > r.autocorrelation_bounds for r in found])
+    for name in ("white", "independent", "normal"):
+        assert np.mean([getattr(result, name) for result in tests]) >= 0.97
+    outside = np.mean([np.abs(r.autocorrelation) > r.autocorrelation_bounds for r in tests])
     assert 0.005 < outside < 0.015
-    assert found[0].mean == pytest.approx(0.3, abs=4 * 2 / np.sqrt(800))
-    assert found[0].deviation == pytest.approx(2.0, abs=4 * 2 / np.sqrt(2 * 800))
+    assert tests[0].mean == pytest.approx(0.3, abs=4 * 2 / np.sqrt(800))
+    assert tests[0].deviation == pytest.approx(2.0, abs=4 * 2 / np.sqrt(2 * 800))
 
 
-@pytest.mark.parametrize("phi", [-0.6, 0.5, 0.8])
+@pytest.mark.parametrize("phi", [-0.6, 0.8])
 def test_first_order_errors_have_their_autocorrelation_and_are_not_white(phi):
     rng = np.random.default_rng(1)
-    found = found_in([autoregressive(rng, 30_000, phi), autoregressive(rng, 20_000, phi)])
+    tests = found_in([autoregressive(rng, 30_000, phi), autoregressive(rng, 20_000, phi)])
     lag = np.arange(1, 26)
     # Bartlett's variance of the estimate; 25 lags stay within 4.5 deviations but in 1 of 5000 cases.
     decay = phi ** (2 * lag)
     spread = np.sqrt(((1 + phi**2) * (1 - decay) / (1 - phi**2) - 2 * lag * decay) / 50_000)
-    assert np.all(np.abs(found.autocorrelation - phi**lag) < 4.5 * spread)
-    assert not found.white
-    assert found.whiteness_p < 1e-6
+    assert np.all(np.abs(tests.autocorrelation - phi**lag) < 4.5 * spread)
+    assert not tests.white
+    assert tests.whiteness_p < 1e-6
 
 
-@pytest.mark.parametrize("phi", [0.8, 0.95])
-def test_correlated_errors_that_do_not_know_the_command_are_found_independent(phi):
+def test_correlated_errors_without_the_command_are_found_independent():
     results, naive = [], []
     for seed in range(SEEDS):
         rng = np.random.default_rng(seed)
-        found = found_in(
-            [autoregressive(rng, 700, phi) for _ in range(2)], [held_command(rng, 700) for _ in "ab"]
+        tests = found_in(
+            [autoregressive(rng, 700, 0.9) for _ in range(2)], [held_command(rng, 700) for _ in "ab"]
         )
-        results.append(found)
-        naive.append(np.abs(found.cross_correlation) > BOUND / np.sqrt(1400))
+        results.append(tests)
+        naive.append(np.abs(tests.cross_correlation) > BOUND / np.sqrt(1400))
     assert np.mean([r.independent for r in results]) >= 0.97
     # The lags of one case go together, so their level is less certain than of as many cases.
     assert 0.002 < np.mean([len(r.lags_outside) / 51 for r in results]) < 0.02
@@ -81,74 +80,47 @@ def test_correlated_errors_that_do_not_know_the_command_are_found_independent(ph
 
 
 @pytest.mark.parametrize("lag", [3, -4, 0])
-def test_an_error_that_follows_the_command_is_found_at_its_lag(lag):
+def test_an_error_after_the_command_is_found_at_its_lag(lag):
     rng = np.random.default_rng(2)
     commands = [rng.choice([0.0, 50.0], n) for n in (400, 300)]
     errors = [0.1 * np.roll(u, lag) + rng.normal(0, 2.5, u.size) for u in commands]
-    found = found_in(errors, commands)
-    assert not found.independent
-    assert lag in found.lags_outside
-    assert found.cross_lags[int(np.argmax(np.abs(found.cross_correlation)))] == lag
+    tests = found_in(errors, commands)
+    assert not tests.independent
+    assert lag in tests.lags_outside
+    assert tests.cross_lags[int(np.argmax(np.abs(tests.cross_correlation)))] == lag
     # An error of deviation 2.5 from the command and as much noise.
-    place = found.cross_lags.index(lag)
-    assert found.cross_correlation[place] == pytest.approx(np.sqrt(0.5), abs=4 / np.sqrt(700))
+    index = tests.cross_lags.index(lag)
+    assert tests.cross_correlation[index] == pytest.approx(np.sqrt(0.5), abs=4 / np.sqrt(700))
     # A command without memory: the bounds are those of white errors, not widened by what was found.
-    assert found.cross_bounds[25] == pytest.approx(BOUND / np.sqrt(700), rel=0.15)
+    assert tests.cross_bounds[25] == pytest.approx(BOUND / np.sqrt(700), rel=0.15)
 
 
-def test_a_slow_command_is_followed_at_a_run_of_lags():
-    rng = np.random.default_rng(3)
-    command = held_command(rng, 2000)
-    found = found_in([np.roll(command, 5) + rng.normal(0, 20, 2000)], [command])
-    # Held for 10 samples: the correlation falls to nothing 10 lags to either side.
-    assert set(range(-1, 12)) <= set(found.lags_outside)
-
-
-def test_errors_that_alternate_do_not_sharpen_the_bounds():
-    rng = np.random.default_rng(9)
-    found = found_in([autoregressive(rng, 900, -0.6)], [held_command(rng, 900)])
-    pairs = 900 - np.abs(found.cross_lags)
-    assert found.cross_bounds == pytest.approx(BOUND / np.sqrt(pairs), rel=1e-12)
-
-
-def test_correlated_normal_errors_are_found_normal():
-    normal, naive = [], []
-    for seed in range(SEEDS):
-        found = found_in([autoregressive(np.random.default_rng(seed), 2000, 0.8)])
-        normal.append(found.normal)
-        statistic = 2000 * (found.skewness**2 / 6 + found.excess_kurtosis**2 / 24)
-        naive.append(statistic < -2 * np.log(0.01))
-    assert np.mean(normal) >= 0.96
-    assert np.mean(naive) < 0.85
-
-
-@pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("phi", [-0.6, 0.8])
-def test_skewness_and_kurtosis_are_held_against_what_autocorrelation_lets_them_be(phi, seed):
-    found = found_in([autoregressive(np.random.default_rng(seed), 50_000, phi)])
+def test_normality_is_judged_by_what_autocorrelation_leaves_open(phi):
+    tests = found_in([autoregressive(np.random.default_rng(0), 50_000, phi)])
     # Σ φ^(p|j|) over all j is (1 + φ^p)/(1 − φ^p); 5 % is what 50 000 samples leave open.
     third, fourth = ((1 + phi**p) / (1 - phi**p) for p in (3, 4))
     statistic = 50_000 * (
-        found.skewness**2 / (6 * max(third, 1.0)) + found.excess_kurtosis**2 / (24 * fourth)
+        tests.skewness**2 / (6 * max(third, 1.0)) + tests.excess_kurtosis**2 / (24 * fourth)
     )
-    assert -2 * np.log(found.normality_p) == pytest.approx(statistic, rel=0.05)
+    assert -2 * np.log(tests.normality_p) == pytest.approx(statistic, rel=0.05)
 
 
 def test_skewed_errors_are_found_not_normal():
-    found = found_in([np.random.default_rng(4).exponential(size=100_000)])
-    assert not found.normal
+    tests = found_in([np.random.default_rng(4).exponential(size=100_000)])
+    assert not tests.normal
     # The exponential distribution's are 2 and 6; with a moment of order 8 of 8! few samples decide.
-    assert found.skewness == pytest.approx(2.0, abs=0.2)
-    assert found.excess_kurtosis == pytest.approx(6.0, abs=2.0)
+    assert tests.skewness == pytest.approx(2.0, abs=0.2)
+    assert tests.excess_kurtosis == pytest.approx(6.0, abs=2.0)
 
 
 def test_ljung_and_box_of_a_hand_worked_example():
     # ρ̂₁ = −7/8 and ρ̂₂ = 6/8: Q = 8·10·((7/8)²/7 + (6/8)²/6) = 16.25, and of χ²₂ p = exp(−Q/2).
-    found = found_in([np.tile([1.0, -1.0], 4) + 5.0], lags=2)
-    assert found.autocorrelation == pytest.approx((-1.0, 1.0), rel=1e-12)
-    assert (found.whiteness, found.freedom) == (pytest.approx(16.25, rel=1e-12), 2)
-    assert found.whiteness_p == pytest.approx(np.exp(-8.125), rel=1e-12)
-    assert (found.mean, found.deviation) == (5.0, 1.0)
+    tests = found_in([np.tile([1.0, -1.0], 4) + 5.0], lags=2)
+    assert tests.autocorrelation == pytest.approx((-1.0, 1.0), rel=1e-12)
+    assert (tests.whiteness, tests.freedom) == (pytest.approx(16.25, rel=1e-12), 2)
+    assert tests.whiteness_p == pytest.approx(np.exp(-8.125), rel=1e-12)
+    assert (tests.mean, tests.deviation) == (5.0, 1.0)
 
 
 def test_no_product_goes_from_one_test_into_another():
@@ -167,30 +139,20 @@ def test_errors_that_step_with_speed_are_explained_by_speed_alone():
     rng = np.random.default_rng(5)
     speed = rng.permutation(np.repeat([-20.0, 0.0, 30.0], 400))
     error = np.select([speed < 0, speed > 0], [0.5, -1.0], 0.25)
-    found = found_in([error], [rng.normal(size=1200)], [rng.normal(size=1200)], [speed])
-    assert found.by_speed.share == pytest.approx(1.0, rel=1e-12)
-    assert [(b.lower, b.upper, b.count, b.mean, b.rmse) for b in found.by_speed.bins] == [
+    tests = found_in([error], [rng.normal(size=1200)], [rng.normal(size=1200)], [speed])
+    assert tests.by_speed.share == pytest.approx(1.0, rel=1e-12)
+    assert [(b.lower, b.upper, b.count, b.mean, b.rmse) for b in tests.by_speed.bins] == [
         (-20.0, -20.0, 400, 0.5, 0.5),
         (0.0, 0.0, 400, 0.25, 0.25),
         (30.0, 30.0, 400, -1.0, 1.0),
     ]
     # By chance 8 bins explain 7 in 1200, as χ²₇.
-    for other in (found.by_position, found.by_command):
+    for other in (tests.by_position, tests.by_command):
         assert [b.count for b in other.bins] == [150] * 8
         assert other.share < 25 / 1200
 
 
-def test_a_range_with_larger_scatter_is_a_bin_though_its_mean_is_no_other():
-    position = np.random.default_rng(6).permutation(np.arange(800.0))
-    high = (position >= 300) & (position < 400)
-    error = np.where(high, 0.4, 0.1) * (-1.0) ** position
-    found = found_in([error], None, [position])
-    assert found.by_position.share == pytest.approx(0.0, abs=1e-12)
-    worst = max(found.by_position.bins, key=lambda error_bin: error_bin.rmse)
-    assert (worst.lower, worst.upper, worst.rmse) == (300, 399, pytest.approx(0.4))
-
-
-def test_a_value_that_is_there_more_than_an_eighth_is_not_divided():
+def test_a_frequent_value_is_not_divided():
     command = np.concatenate([np.zeros(500), np.arange(1.0, 501.0)])
     bins = found_in([np.sin(np.arange(1000.0))], [command]).by_command.bins
     assert [(b.lower, b.upper, b.count) for b in bins] == [
@@ -200,14 +162,15 @@ def test_a_value_that_is_there_more_than_an_eighth_is_not_divided():
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("level", [0.0, 0.1, -1e300, 5e-324])
-@pytest.mark.parametrize("lengths", [(100,), (3, 5), (1,) * 8])
+@pytest.mark.parametrize(
+    ("level", "lengths"), [(0.0, (100,)), (0.1, (3, 5)), (-1e300, (1,) * 8), (5e-324, (3, 5))]
+)
 def test_constant_errors_and_commands_prove_nothing(level, lengths):
     errors = [np.full(n, level) for n in lengths]
-    found = found_in(errors, [np.full(n, 0.7) for n in lengths])
-    assert (found.white, found.independent, found.normal, found.lags_outside) == (True, True, True, ())
-    assert (found.whiteness_p, found.independence_p, found.normality_p) == (1.0, 1.0, 1.0)
-    assert (found.mean, found.deviation, found.by_command.share) == (level, 0.0, 0.0)
+    tests = found_in(errors, [np.full(n, 0.7) for n in lengths])
+    assert (tests.white, tests.independent, tests.normal, tests.lags_outside) == (True, True, True, ())
+    assert (tests.whiteness_p, tests.independence_p, tests.normality_p) == (1.0, 1.0, 1.0)
+    assert (tests.mean, tests.deviation, tests.by_command.share) == (level, 0.0, 0.0)
 
 
 @pytest.mark.filterwarnings("error")
@@ -226,17 +189,16 @@ def test_results_are_plain_numbers_at_any_size(scale):
 
 
 @pytest.mark.parametrize(
-    ("lengths", "used"),
-    [((8,), 4), ((100,), 25), ((30, 30), 15), ((100, 4), 25), ((40, 4), 18), ((1,) * 8, 0)],
+    ("lengths", "used"), [((8,), 4), ((30, 30), 15), ((100, 4), 25), ((40, 4), 18), ((1,) * 8, 0)]
 )
 def test_short_tests_have_fewer_lags(lengths, used):
     rng = np.random.default_rng(8)
     tests = [rng.normal(size=n) for n in lengths]
-    found = found_in(tests, tests)
+    tests = found_in(tests, tests)
     pairs = [sum(max(n - k, 0) for n in lengths) for k in range(used + 1)]
-    assert found.freedom == len(found.autocorrelation) == used
-    assert found.cross_lags == tuple(range(-used, used + 1))
-    assert found.autocorrelation_bounds == pytest.approx([2.5758293 / np.sqrt(n) for n in pairs[1:]])
+    assert tests.freedom == len(tests.autocorrelation) == used
+    assert tests.cross_lags == tuple(range(-used, used + 1))
+    assert tests.autocorrelation_bounds == pytest.approx([2.5758293 / np.sqrt(n) for n in pairs[1:]])
 
 
 @pytest.mark.parametrize(
@@ -245,14 +207,8 @@ def test_short_tests_have_fewer_lags(lengths, used):
         ({"errors": [np.zeros(7)]}, "commands: expected the shapes"),
         ({"errors": [np.zeros((4, 2))]}, r"each \[N_i\]"),
         ({"speeds": [np.zeros(9), np.zeros(2)]}, "speeds: expected the shapes"),
-        (
-            {"commands": [np.array([0.0] * 8 + [np.nan])]},
-            "commands of test 0: expected finite numbers, got nan at sample 8",
-        ),
-        (
-            {"displacements": [np.full(9, np.inf)]},
-            "displacements of test 0: expected finite numbers, got inf at sample 0",
-        ),
+        ({"commands": [np.array([0.0] * 8 + [np.nan])]}, "commands of test 0: .* got nan at sample 8"),
+        ({"displacements": [np.full(9, np.inf)]}, "displacements of test 0: .* got inf at sample 0"),
         ({"step_s": 0.0}, "positive step_s"),
         ({"step_s": float("nan")}, "positive step_s"),
         ({"lags": 0}, "at least 1 lag"),
@@ -264,7 +220,7 @@ def test_what_cannot_be_tested_is_refused(change, message):
         residual_tests(**{**usual, "step_s": STEP_S, **change})
 
 
-@pytest.mark.parametrize("lengths", [(), (7,), (3, 0, 4)])
+@pytest.mark.parametrize("lengths", [(), (3, 0, 4)])
 def test_fewer_than_eight_samples_are_refused(lengths):
     with pytest.raises(InputError, match=rf"^expected at least 8 samples, got {sum(lengths)}"):
         found_in([np.arange(float(n)) for n in lengths])
@@ -278,48 +234,10 @@ def made_up_tests(draw):
     return [[draw(arrays(np.float64, n, elements=whole)) for n in lengths] for _ in range(4)]
 
 
-def edgeless(result):
-    """Return a result without the edges of its bins by position."""
-    bins = tuple(replace(b, lower=0.0, upper=0.0) for b in result.by_position.bins)
-    return replace(result, by_position=replace(result.by_position, bins=bins))
-
-
-@given(made_up_tests(), st.integers(-1000, 1000).map(float))
-def test_where_the_displacement_is_zero_matters_to_the_edges_alone(made_up, shift):
-    errors, commands, displacements, speeds = made_up
-    here = residual_tests(errors, commands, displacements, speeds, step_s=STEP_S)
-    there = residual_tests(errors, commands, [d + shift for d in displacements], speeds, step_s=STEP_S)
-    assert edgeless(there) == edgeless(here)
-    for one, other in zip(here.by_position.bins, there.by_position.bins, strict=True):
-        assert (other.lower, other.upper) == (one.lower + shift, one.upper + shift)
-
-
-@given(made_up_tests(), st.floats(1e-6, 1e6))
-def test_the_unit_of_the_errors_matters_to_their_size_alone(made_up, factor):
-    errors, *others = made_up
-    here = residual_tests(errors, *others, step_s=STEP_S)
-    there = residual_tests([factor * e for e in errors], *others, step_s=STEP_S)
-    for name in ("whiteness_p", "independence_p", "normality_p", "skewness", "excess_kurtosis"):
-        assert getattr(there, name) == pytest.approx(getattr(here, name), rel=1e-8, abs=1e-9)
-    assert there.cross_correlation == pytest.approx(here.cross_correlation, abs=1e-9)
-    largest = factor * max(float(np.max(np.abs(e))) for e in errors)
-    for name in ("mean", "deviation"):
-        assert getattr(there, name) == pytest.approx(
-            factor * getattr(here, name), rel=1e-9, abs=1e-9 * largest
-        )
-    for name in ("by_position", "by_speed", "by_command"):
-        one, other = getattr(here, name), getattr(there, name)
-        assert other.share == pytest.approx(one.share, abs=1e-9)
-        for small, large in zip(one.bins, other.bins, strict=True):
-            assert (large.lower, large.upper, large.count) == (small.lower, small.upper, small.count)
-            assert large.rmse == pytest.approx(factor * small.rmse, rel=1e-9)
-            assert large.mean == pytest.approx(factor * small.mean, rel=1e-9, abs=1e-9 * largest)
-
-
 @given(made_up_tests())
-def test_the_order_of_tests_does_not_matter_and_bins_hold_every_error(made_up):
+def test_bins_hold_every_error_in_any_order(made_up):
     here = residual_tests(*made_up, step_s=STEP_S)
-    there = residual_tests(*[each[::-1] for each in made_up], step_s=STEP_S)
+    there = residual_tests(*[name[::-1] for name in made_up], step_s=STEP_S)
     for name in ("whiteness_p", "independence_p", "normality_p"):
         assert getattr(there, name) == pytest.approx(getattr(here, name), rel=1e-8, abs=1e-9)
     for group in (here.by_position, here.by_speed, here.by_command):

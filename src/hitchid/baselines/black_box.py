@@ -99,14 +99,7 @@ INCREMENT_BLOCKS = (2, 8)
 
 
 class Sections(NamedTuple):
-    """Free runs of B tests in K blocks of M steps, scaled.
-
-    Attributes:
-        inputs: of the network, shape [K, B, I].
-        start: position before motion, shape [B].
-        position: measured position at the end of each step, shape [K, B, M].
-        increment_scale: factor on the network's increments, shape [].
-    """
+    """Free runs of B tests in K blocks of M steps, scaled; positions are measured at the end of each step."""
 
     inputs: Float32[Array, "k b i"]
     start: Float32[Array, " b"]
@@ -125,12 +118,7 @@ def train_ensemble(
 ) -> tuple[IntegratingLstm, int]:
     """Choose the number of gradient steps on validation tests, then train on all tests for as many.
 
-    Args:
-        untrained: the members, a leading axis over them in each array.
-        sections: free runs of all tests.
-        training, validation, everything: weights of the errors for the choice and for the final training.
-        steps: largest number of gradient steps.
-        progress: called at each look with the steps done, training and validation error.
+    Arrays have a leading axis over the members; errors weigh as given for choice and final training.
 
     Returns:
         The ensemble, and the number of steps it was trained for: 0 where no training improved it.
@@ -156,8 +144,7 @@ def train_ensemble(
 @eqx.filter_jit
 def _mean_error(networks: IntegratingLstm, sections: Sections, weight: Array) -> Array:
     """Return the root mean square error of the members' mean."""
-    members = eqx.filter_vmap(IntegratingLstm.simulate, in_axes=(eqx.if_array(0), None, None, None))
-    positions = members(networks, sections.inputs, sections.start, sections.increment_scale).mean(axis=0)
+    positions = mean_positions(networks, sections.inputs, sections.start, sections.increment_scale)
     return jnp.sqrt(_mean_square(positions - sections.position, weight))
 
 
@@ -213,10 +200,8 @@ MAX_BLOCKS, STEPS = 64, 8  # blocks of the longest test, steps in a block; chose
 class BlockSignals(NamedTuple):
     """Signals of T tests in K blocks of M steps.
 
-    Attributes:
-        commands: mean of the command as logged and of the effective command, shape [K, T, M, 2].
-        travel: travel at the end of each step, shape [K, T, M].
-        mask: which of those errors are taken over, shape [K, T, M].
+    Means of the command as logged and of the effective one, shape [K, T, M, 2]; travel at the end of each
+    step and which of those errors are taken over, shape [K, T, M].
     """
 
     commands: np.ndarray
@@ -231,13 +216,7 @@ def step_samples(batch: Batch) -> int:
 
 
 def block_signals(batch: Batch, samples: int, mask: np.ndarray) -> BlockSignals:
-    """Return the signals of tests in blocks of eight steps of so many samples each.
-
-    Args:
-        batch: tests.
-        samples: samples in a step.
-        mask: samples that errors are taken over, shape [T, N].
-    """
+    """Return the signals of tests in blocks of eight steps of so many samples each."""
     blocks = -(-int(np.asarray(batch.valid).sum(axis=1).max()) // (samples * STEPS))
     width = blocks * STEPS * samples
 
@@ -325,20 +304,11 @@ class BlackBox(FittedBaseline):
         position = batch.sign * np.asarray(batch.initial)
         scale = np.abs(signals.travel[signals.mask]).max(initial=0.0) or 1.0
         changes = np.diff(signals.travel, axis=2)[signals.mask[:, :, 1:]]
-        return cls(
-            jax.tree.map(lambda *arrays: jnp.stack(arrays), *members),
-            *map(
-                np.asarray,
-                (
-                    np.abs(batch.raw_command).max() or 1.0,
-                    *covariate_scaling(batch),
-                    position.mean(),
-                    scale,
-                    (np.abs(changes).mean() if changes.size else 0.0) / scale or 1.0,
-                    samples,
-                ),
-            ),
-        )
+        increment = (np.abs(changes).mean() if changes.size else 0.0) / scale or 1.0
+        command_scale = np.abs(batch.raw_command).max() or 1.0
+        numbers = (command_scale, *covariate_scaling(batch), position.mean(), scale, increment, samples)
+        networks = jax.tree.map(lambda *arrays: jnp.stack(arrays), *members)
+        return cls(networks, *map(np.asarray, numbers))
 
     def inputs(self, batch: Batch, signals: BlockSignals) -> Float32[Array, "k t i"]:
         """Return the scaled inputs of each block, shape [K, T, 16 + C]."""

@@ -14,9 +14,8 @@ from hitchid.structures import Batch, split_validation
 
 # Inputs of the linear baselines, and their tests without padding.
 
-MAX_STEP_SAMPLES = (
-    100_000  # samples in a step of a stored baseline; chosen: tests of days at 100 Hz have fewer
-)
+# Samples in a step of a stored baseline; chosen: tests of days at 100 Hz have fewer.
+MAX_STEP_SAMPLES = 100_000
 
 
 class LinearInputs(eqx.Module):
@@ -92,13 +91,7 @@ def covariate_scaling(batch: Batch) -> tuple[np.ndarray, np.ndarray]:
 
 
 class UnpaddedTest(NamedTuple):
-    """One test from rest, without padding.
-
-    Attributes:
-        inputs: shape [m, N].
-        travel: displacement relative to the start, shape [N].
-        loss_mask: samples that errors are taken over, shape [N].
-    """
+    """One test from rest, unpadded: inputs, shape [m, N], travel and the samples that count, shape [N]."""
 
     inputs: np.ndarray
     travel: np.ndarray
@@ -113,13 +106,12 @@ def unpadded_tests(batch: Batch, inputs: np.ndarray) -> list[UnpaddedTest]:
     ]
 
 
-def free_run_error(simulated: Sequence[np.ndarray], tests: Sequence[UnpaddedTest]) -> float:
-    """Return the sum of squared errors of simulated travel, infinite where one diverged."""
+def free_run_error(model: "Autoregression", tests: Iterable[UnpaddedTest]) -> float:
+    """Return the sum of squared errors of free runs, infinite where one diverged."""
+    total = 0.0
     with np.errstate(all="ignore"):
-        errors = [travel - test.travel for travel, test in zip(simulated, tests, strict=True)]
-        total = sum(
-            float(np.sum(error[test.loss_mask] ** 2)) for error, test in zip(errors, tests, strict=True)
-        )
+        for test in tests:
+            total += float(np.sum((model.simulate(test.inputs) - test.travel)[test.loss_mask] ** 2))
     return total if np.isfinite(total) else np.inf
 
 
@@ -165,11 +157,7 @@ def predict_ahead(
 ) -> np.ndarray:
     """Return h-step-ahead predictions of travel, zero for the first h samples.
 
-    Args:
-        model: an autoregressive model; it is iterated from all samples at once.
-        inputs: of one test that starts from rest, shape [m, N].
-        travel: its measured travel, shape [N].
-        horizons: prediction horizons h, in samples.
+    Of one test that starts from rest, inputs of shape [m, N]; iterated from all samples at once.
 
     Returns:
         Predictions, shape [len(horizons), N].
@@ -182,10 +170,7 @@ def predict_ahead(
     with np.errstate(over="ignore", invalid="ignore"):
         for step in range(1, farthest + 1):
             lagged = [padded[:, lag + step - i : lag + step - i + count] for i in range(1, lag + 1)]
-            history = [
-                model.predict_next(np.stack(lagged, axis=1), np.stack(history)),
-                *history[: lag - 1],
-            ]
+            history = [model.predict_next(np.stack(lagged, axis=1), np.stack(history)), *history[: lag - 1]]
             predictions[step] = history[0]
     return np.stack([np.concatenate([np.zeros(h), predictions[h][: count - h]]) for h in horizons])
 
@@ -263,10 +248,7 @@ class ArxBaseline(Baseline):
         largest = max(scaling.counts)
 
         def error(model: Arx) -> float:
-            validation_tests = unpadded_tests(validation, model.inputs(validation))
-            return free_run_error(
-                [model.simulate(test.inputs) for test in validation_tests], validation_tests
-            )
+            return free_run_error(model, unpadded_tests(validation, model.inputs(validation)))
 
         def factor(batch: Batch) -> Float[np.ndarray, "r c"]:
             return _triangular_factor(unpadded_tests(batch, scaling.rows(batch, largest)), max(ORDERS))

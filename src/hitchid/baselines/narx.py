@@ -7,7 +7,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from hitchid.baselines.baseline import Baseline, FitContext, Sizes
-from hitchid.baselines.linear import Autoregression, LinearInputs
+from hitchid.baselines.linear import Autoregression, LinearInputs, to_displacement
 from hitchid.baselines.output_error import refine
 from hitchid.structures import Batch, split_validation
 
@@ -20,10 +20,7 @@ DEPENDENT = 1e-10  # share of a term's square that is left orthogonal to the oth
 def candidate_terms(lags: int, constants: np.ndarray) -> np.ndarray:
     """Return all products of up to two factors; see `Narx`, shape [C, 2].
 
-    Args:
-        lags: largest lag.
-        constants: covariates and initial displacement of the tests, scaled; one that does not vary is no
-            factor.
+    A constant that does not vary between tests is no factor.
     """
     lagged = range(1, lags + 1)
     varied = [CONSTANT + number for number, column in enumerate(constants.T) if np.ptp(column) > 0]
@@ -34,10 +31,7 @@ def candidate_terms(lags: int, constants: np.ndarray) -> np.ndarray:
 def order_of_terms(rows: np.ndarray, target: np.ndarray, most: int) -> list[int]:
     """Return the terms in the order of their error reduction ratio, each orthogonal to those before.
 
-    Args:
-        rows: candidate terms at all samples, shape [K, C].
-        target: what they explain, shape [K].
-        most: number of terms to return; fewer where all others depend on them.
+    Rows have shape [K, C]; fewer terms than asked for where all others depend on them.
 
     Source: Chen, Billings and Luo, Orthogonal least squares methods (1989).
     """
@@ -97,13 +91,7 @@ def sections_of(
 ) -> Sections:
     """Return the sections of tests.
 
-    Args:
-        batch: tests.
-        inputs: scaled command and constants, shape [T, 2 + C, N].
-        travel: scaled travel, shape [T, N].
-        past: samples before a section.
-        longest: samples of a section at most.
-        most: samples of all sections, about; of more every m-th section is returned.
+    Inputs have shape [T, 2 + C, N]; of more samples than `most`, about, every m-th section is returned.
     """
     ends = np.asarray(batch.valid).sum(axis=1)
     width = int(min(longest, ends.max()))
@@ -145,13 +133,6 @@ def polynomial_run(
     """Return travel simulated from measured pasts, and its derivative by the coefficients.
 
     A simulation that diverges becomes infinite or NaN, without a warning.
-
-    Args:
-        terms: factors of each term, shape [M, 2].
-        coefficients: θ, shape [M].
-        sections: commands, pasts and constants.
-        lags: lags of travel and command that are kept, at most the length of the pasts.
-        derivative: whether the derivative is computed.
 
     Returns:
         Scaled travel, shape [S, N], and its derivative, shape [S, N, M], or [S, N, 0].
@@ -244,24 +225,18 @@ class Narx(Autoregression):
 
         A simulation that diverges becomes infinite or NaN, without a warning.
         """
-        lag = self.lag
-        section = Sections(
-            command=np.pad(inputs[0], (lag, 0))[None],
-            past=np.zeros((1, lag)),
-            constants=inputs[None, 1:, 0],
-        )
-        return self.travel_scale * polynomial_run(self.terms, self.coefficients, section, lag)[0][0]
+        return self._travels(inputs[None])[0]
 
     def free_run(self, batch: Batch) -> np.ndarray:
         """Return displacement simulated from commands and initial displacement, shape [T, N]."""
-        inputs, lag = self.inputs(batch), self.lag
-        sections = Sections(
-            command=np.pad(inputs[:, 0], ((0, 0), (lag, 0))),
-            past=np.zeros((len(inputs), lag)),
-            constants=inputs[:, 1:, 0],
-        )
-        travel = polynomial_run(self.terms, self.coefficients, sections, lag)[0]
-        return np.asarray(batch.initial)[:, None] + batch.sign * self.travel_scale * travel
+        return to_displacement(batch, self._travels(self.inputs(batch)))
+
+    def _travels(self, inputs: np.ndarray) -> np.ndarray:
+        """Return the travel of all tests at once, from rest, of inputs of shape [T, 2 + C, N]."""
+        lag = self.lag
+        commands = np.pad(inputs[:, 0], ((0, 0), (lag, 0)))
+        sections = Sections(commands, np.zeros((len(inputs), lag)), inputs[:, 1:, 0])
+        return self.travel_scale * polynomial_run(self.terms, self.coefficients, sections, lag)[0]
 
 
 class NarxBaseline(Baseline):

@@ -138,10 +138,7 @@ class OutputErrorBaseline(Baseline):
         def error(fit: Fit, choice: tuple[int, int, int]) -> float:
             order, delay, count = choice
             model = fit(scaling, prepared(training, delay, count), order)
-            validation_tests = prepared(validation, delay, count)
-            return free_run_error(
-                [model.simulate(test.inputs) for test in validation_tests], validation_tests
-            )
+            return free_run_error(model, prepared(validation, delay, count))
 
         choices = sorted(product(ORDERS, DELAYS, scaling.counts), key=partial(error, _filtered_fit))
         order, delay, count = min(choices[:REFINED], key=partial(error, _refined_fit))
@@ -171,7 +168,7 @@ def _filtered_fit(scaling: LinearInputs, tests: Sequence[UnpaddedTest], order: i
             if not all(np.all(np.isfinite(test.travel)) for test in filtered):
                 break
             models.append(Arx.fit(scaling, filtered, order))
-    return min(models, key=lambda model: free_run_error([model.simulate(t.inputs) for t in tests], tests))
+    return min(models, key=lambda model: free_run_error(model, tests))
 
 
 def _refined_fit(scaling: LinearInputs, tests: Sequence[UnpaddedTest], order: int) -> Arx:

@@ -48,32 +48,30 @@ class Correlations(eqx.Module):
         """
         counts = np.asarray(batch.loss_mask).sum(axis=1)
         test_indices = np.flatnonzero(counts)
-        command, travel = np.asarray(batch.command)[test_indices], np.asarray(batch.travel)[test_indices]
+        mask = np.asarray(batch.loss_mask)[test_indices]
         weight = np.sqrt(1 / (test_indices.size * counts[test_indices, None]))
-        command, travel = (
-            weight * command,
-            weight * np.where(np.asarray(batch.loss_mask)[test_indices], travel, 0.0),
-        )
+        command = weight * np.asarray(batch.command)[test_indices]
+        travel = weight * np.where(mask, np.asarray(batch.travel)[test_indices], 0.0)
         command_sum = np.cumsum(np.pad(command, ((0, 0), (1, 0)))[:, :-1], axis=1)
-        command_sum = np.where(np.asarray(batch.loss_mask)[test_indices], command_sum, 0.0)
+        command_sum = np.where(mask, command_sum, 0.0)
         gain = float(np.sum(command_sum * travel) / np.sum(command_sum**2))
         error = travel - gain * command_sum
         # Tests end together, what counts of them: Rⱼₖ = Rⱼ₊₁,ₖ₊₁ + the product at the last sample.
-        aligned = _aligned_at_end(command, counts[test_indices])
+        source = counts[test_indices, None] - 1 - np.arange(command.shape[1])
+        rows = np.take_along_axis(command, np.maximum(source, 0), axis=1)
+        # By JAX: threads of NumPy's library would wait, busily, on the cores that the search needs.
+        products = np.array(_gram_matrix(jnp.asarray(np.where(source >= 0, rows, 0.0))))
+        for row in range(len(products) - 2, -1, -1):
+            products[row, :-1] += products[row + 1, 1:]
         return cls(
             gain=jnp.asarray(gain),
             error_power=jnp.asarray(np.sum(error**2)),
             cross_correlation=jnp.asarray(_cross_correlation(error, command)),
-            # By JAX: threads of NumPy's library would wait, busily, on the cores that the search needs.
-            auto_correlation=jnp.asarray(_diagonal_cumsum(np.array(_gram_matrix(jnp.asarray(aligned))))),
+            auto_correlation=jnp.asarray(products),
         )
 
     def mean_square(self, response: Float[Array, "p n"]) -> Float[Array, " p"]:
-        """Return J² of p models.
-
-        Args:
-            response: h, their travel after a command of one for one sample, shape [P, N].
-        """
+        """Return J² of p models."""
         difference = (response - self.gain).at[:, 0].set(0.0)
         return jnp.maximum(
             self.error_power
@@ -96,15 +94,7 @@ def correlations_applicable(batch: Batch) -> bool:
 
 
 class CorrelationObjective(eqx.Module):
-    """J of a linear model over tests, at the same cost for any number of them; see `Correlations`.
-
-    Attributes:
-        correlations: of the tests.
-        spec: model specification.
-        scales: scales of the nonlinearities.
-        bounds: of its parameters.
-        step_s: sampling time, s.
-    """
+    """J of a linear model over tests, at the same cost for any number of them; see `Correlations`."""
 
     correlations: Correlations
     spec: ModelSpec = eqx.field(static=True)
@@ -148,16 +138,3 @@ def _cross_correlation(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     samples = first.shape[1]
     first_spectrum, second_spectrum = (np.fft.rfft(rows, 2 * samples) for rows in (first, second))
     return np.fft.irfft(np.sum(first_spectrum * second_spectrum.conj(), axis=0))[:samples]
-
-
-def _aligned_at_end(rows: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Return rows backwards from the last sample that counts, zero beyond their first."""
-    source_index = counts[:, None] - 1 - np.arange(rows.shape[1])
-    return np.where(source_index >= 0, np.take_along_axis(rows, np.maximum(source_index, 0), axis=1), 0.0)
-
-
-def _diagonal_cumsum(matrix: np.ndarray) -> np.ndarray:
-    """Return Σₘ M(j+m, k+m) at every j, k."""
-    for row in range(len(matrix) - 2, -1, -1):
-        matrix[row, :-1] += matrix[row + 1, 1:]
-    return matrix

@@ -58,12 +58,7 @@ def minimise(
     (JᵀJ + λ D) s = −Jᵀr with D the largest diagonal of JᵀJ met so far, projected onto the cube; parameters at
     a bound that the gradient holds there stay. λ follows the gain ratio (Nielsen 1999, IMM-REP-1999-05); a
     step to where anything is not finite is rejected like one that does not descend.
-
-    Args:
-        equations: the normal equations at a position.
-        start: a position in the unit cube, shape [D].
-        limit: largest number of positions.
-        tolerance: relative change of cost or position below which to stop.
+    The limit is one of positions, the tolerance a relative change of cost or position.
 
     Returns:
         The minimum; None where the equations are not finite at the start.

@@ -58,23 +58,22 @@ class Bounds(eqx.Module):
     def unclipped_position(self, values: np.ndarray) -> np.ndarray:
         """Return the position of values, outside the unit cube where they lie beyond a bound."""
         bounds = zip(np.asarray(self.lower), np.asarray(self.upper), np.asarray(self.linear), strict=True)
-        return np.array(
-            [
-                (value - lower) / (upper - lower) if linear else np.log(value / lower) / np.log(upper / lower)
-                for value, (lower, upper, linear) in zip(values, bounds, strict=True)
-            ]
-        )
+        positions = [
+            (value - lower) / (upper - lower) if linear else np.log(value / lower) / np.log(upper / lower)
+            for value, (lower, upper, linear) in zip(values, bounds, strict=True)
+        ]
+        return np.array(positions)
 
     def _spans(self) -> tuple[Float[Array, " d"], Float[Array, " d"]]:
         """Return the widths between the bounds, and between their logarithms."""
         return self.upper - self.lower, jnp.log(self.upper / jnp.where(self.linear, self.upper, self.lower))
 
 
+_values, _slopes = eqx.filter_jit(Bounds.values), eqx.filter_jit(Bounds.slopes)
 _Fitness = TypeVar("_Fitness", bound=eqx.Module)
 
-GAIN_RIDGE = (
-    0.01  # ρ, share of a test's energy: a factor of its own 10 % from one costs 1 % of its rms travel
-)
+# ρ, share of a test's energy: a factor of its own 10 % from one costs 1 % of its rms travel.
+GAIN_RIDGE = 0.01
 RIDGE_FLOOR = 1e-9  # share of the mean energy, which holds the factor of a test without motion at one
 MIN_SPARE_TESTS = 4  # tests beyond the number of parameters; see `allows_per_test_gain`
 TOLERANCE = 1e-6  # relative change of fitness or position at which least squares stops
@@ -89,8 +88,7 @@ class Objective(eqx.Module):
         spec: model specification.
         scales: of the nonlinearities.
         bounds: of its parameters.
-        per_test_gain: whether each test has a factor on its speed; see
-            `allows_per_test_gain`.
+        per_test_gain: whether each test has a factor on its speed; see `allows_per_test_gain`.
     """
 
     batch: Batch
@@ -106,13 +104,8 @@ class Objective(eqx.Module):
         Raises:
             FitError: nothing moves.
         """
-        return cls(
-            batch,
-            spec,
-            scales_of(batch, spec.covariate_names),
-            _bounds(spec, batch),
-            per_test_gain=allows_per_test_gain(batch, spec),
-        )
+        scales, bounds = scales_of(batch, spec.covariate_names), _bounds(spec, batch)
+        return cls(batch, spec, scales, bounds, per_test_gain=allows_per_test_gain(batch, spec))
 
     def with_data(self, batch: Batch) -> "Objective":
         """Return the objective over other tests, its bounds and scales kept."""
@@ -211,9 +204,8 @@ class Objective(eqx.Module):
             test_indices = np.flatnonzero(np.asarray(segment_objective.batch.loss_mask).any(axis=1))
             if test_indices.size:
                 ratio = weights[test_indices] / segment_objective._weights()[test_indices]
-                equations.append(
-                    segment_objective.equations_by_test(position).take(test_indices).weighted(ratio)
-                )
+                of_tests = segment_objective.equations_by_test(position).take(test_indices)
+                equations.append(of_tests.weighted(ratio))
         return TestEquations(*(np.concatenate(rows) for rows in zip(*equations, strict=True)))
 
     def errors(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -226,9 +218,8 @@ class Objective(eqx.Module):
         """Return the simulated travel at a position where samples count, without a factor on each test."""
         loss_mask = np.asarray(self.batch.loss_mask)
         residuals = self.pooled()._compiled().residuals(position)[: len(loss_mask)]
-        return np.where(
-            loss_mask, residuals / np.sqrt(self._weights())[:, None] + np.asarray(self.batch.travel), 0.0
-        )
+        travel = residuals / np.sqrt(self._weights())[:, None] + np.asarray(self.batch.travel)
+        return np.where(loss_mask, travel, 0.0)
 
     def _weights(self) -> Float[np.ndarray, " t"]:
         """Return the factors on the squares of each test; see `residuals_of_values`."""
@@ -268,13 +259,7 @@ def traced(fitness: _Fitness) -> _Fitness:
 
 
 class TestEquations(NamedTuple):
-    """The sum of squared residuals of each test at a position, to second order as Gauss and Newton have it.
-
-    Attributes:
-        costs: ‖r‖², shape [T].
-        gradients: Jᵀ r, shape [T, D].
-        curvatures: Jᵀ J, shape [T, D, D].
-    """
+    """‖r‖², Jᵀ r and Jᵀ J of each test at a position: squares to second order, as Gauss and Newton do."""
 
     costs: Float[np.ndarray, " t"]
     gradients: Float[np.ndarray, "t d"]
@@ -332,16 +317,6 @@ def _equations_by_test(
     gradients = jnp.einsum("tdn,tn->td", columns, residuals)
     curvatures = jnp.einsum("tdn,ten->tde", columns, columns)
     return residuals, jnp.sum(residuals**2, axis=1), gradients, curvatures
-
-
-@eqx.filter_jit
-def _values(bounds: Bounds, position: Float[Array, "*p d"]) -> Float[Array, "*p d"]:
-    return bounds.values(position)
-
-
-@eqx.filter_jit
-def _slopes(bounds: Bounds, position: Float[Array, " d"]) -> Float[Array, " d"]:
-    return bounds.slopes(position)
 
 
 def scales_of(batch: Batch, covariates: Sequence[str] = ()) -> Scales:

@@ -77,16 +77,8 @@ def train(
 ) -> tuple[Network, TrainingHistory]:
     """Train a network and return the weights of the epoch with the smallest validation loss.
 
-    Args:
-        network: what to train; all its floating-point arrays are.
-        error: from network and data to the sum of squared errors and the number of them; one function for
-            trainings that are to share a compiled program.
-        training, validation: arrays whose first axis runs over sequences; of the training's, those that fill
-            no batch are left out in turn.
-        settings: epochs, patience, batch, learning rate.
-        key: shuffles the sequences.
-        progress: called after each epoch with its number, training and validation loss.
-        checkpoints: store of the weights and the losses.
+    The error is the sum of squared errors and their number: one function for trainings that are to share a
+    compiled program. First axes run over sequences; those that fill no batch are left out in turn.
     """
 
     def work() -> Arrays:

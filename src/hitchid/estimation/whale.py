@@ -64,14 +64,9 @@ class WhaleConfig:
 
 
 class WhaleState(eqx.Module):
-    """The swarm between two generations.
+    """The swarm between two generations; the best fitness is +inf while none was finite.
 
-    Attributes:
-        population: positions in the unit cube, shape [P, D].
-        best: position of the best whale so far, shape [D].
-        best_fitness: its fitness, +inf while none was finite, shape [].
-        generation: generations evaluated so far, shape [].
-        improved: the generation that last improved by more than the tolerance, shape [].
+    `improved` is the generation that last improved by more than the tolerance.
     """
 
     population: Float[Array, "p d"]
@@ -84,11 +79,7 @@ class WhaleState(eqx.Module):
 class WhaleTrace(eqx.Module):
     """The whole search, one row a generation; rows past `generations` are unused and hold +inf.
 
-    Attributes:
-        best_fitness: best fitness so far, shape [G].
-        best: its position in the unit cube, shape [G, D].
-        fitness: fitness of every whale, +inf for a failed simulation, shape [G, P].
-        failures: whales whose objective was not finite, shape [G].
+    The fitness of every whale is +inf for a failed simulation; `best` is in the unit cube.
     """
 
     best_fitness: Float[Array, " g"]
@@ -98,15 +89,7 @@ class WhaleTrace(eqx.Module):
 
 
 class WhaleResult(eqx.Module):
-    """Result of a search.
-
-    Attributes:
-        best: best position in the unit cube, shape [D].
-        best_fitness: its fitness, shape [].
-        generations: generations evaluated, shape [].
-        stagnated: whether stagnation ended the search, shape [].
-        trace: the whole search.
-    """
+    """Result of a search: the best position in the unit cube, and whether stagnation ended the search."""
 
     best: Float[Array, " d"]
     best_fitness: Float[Array, ""]
@@ -130,12 +113,7 @@ def init(rng: np.random.Generator, dimensions: int, config: WhaleConfig) -> Whal
 class WhaleDraws(NamedTuple):
     """Random numbers of moves, those of generations along a first axis; K is D, or one for all coordinates.
 
-    Attributes:
-        a: of A, from −1 to 1, shape [..., P, K].
-        c: C, from 0 to 2, shape [..., P, K].
-        spirals: whether a whale spirals, shape [..., P, K].
-        spiral_parameter: l, from −1 to 1, shape [..., P, K].
-        member: which member is X_r, shape [..., P].
+    A is drawn from −1 to 1, C from 0 to 2, l from −1 to 1; `member` is which whale X_r is.
     """
 
     a: Float[Array, "*g p k"]
@@ -232,12 +210,7 @@ def run_until(
 ) -> tuple[WhaleState, WhaleTrace]:
     """Run the swarm until a number of generations or until it stagnates.
 
-    Args:
-        objective: from positions of shape [P, D] to fitness of shape [P]; NaN marks a failed simulation.
-        carry: of `begin` or an earlier call; where the calls part the search changes nothing.
-        config: as for `begin`.
-        draws: of `begin`.
-        until: generations in all.
+    The objective is NaN where a simulation failed; where calls part the search changes nothing.
     """
 
     def unfinished(carry: tuple[WhaleState, WhaleTrace]) -> Array:
@@ -284,14 +257,10 @@ class Whale(Search):
         """Search with a swarm of whales, in one compiled program."""
         carry, draws = begin(problem.dimensions, self.config, seed)
         last_generation = self.config.generations
-        for until in range(
-            REPORT_INTERVAL if callback else last_generation,
-            last_generation + REPORT_INTERVAL,
-            REPORT_INTERVAL,
-        ):
-            carry = _run_until(
-                problem.fitness, carry, self.config, draws, jnp.asarray(min(until, last_generation))
-            )
+        first = REPORT_INTERVAL if callback else last_generation
+        for until in range(first, last_generation + REPORT_INTERVAL, REPORT_INTERVAL):
+            stop = jnp.asarray(min(until, last_generation))
+            carry = _run_until(problem.fitness, carry, self.config, draws, stop)
             if callback is not None:
                 callback(int(carry[0].generation), float(carry[0].best_fitness))
             if until >= last_generation or bool(stagnated(carry[0], self.config)):

@@ -62,10 +62,6 @@ def hold_drift(records: Sequence[Record], dead_zones: Mapping[str, float]) -> fl
     The slope that displacement has in common over all stretches without effective command, from 0.5 s after
     their start, of at least 0.5 s (five samples at long sampling times): least squares, each stretch with a
     level of its own.
-
-    Args:
-        records: tests of any kind.
-        dead_zones: direction to dead zone, in the command's unit.
     """
     sum_time_displacement = sum_time_squared = 0.0
     for record in records:
@@ -88,13 +84,8 @@ ChannelResults = Mapping[str, tuple[Channel, ChannelTrace]]
 class CampaignJob:
     """A campaign prepared for identification.
 
-    Attributes:
-        campaign: tests of one direction each; where there were none, strokes cut from mixed logs.
-        config: configuration of the identification.
-        cycles: the mixed logs that the strokes were cut from.
-        segmentation_dead_zones: direction to the dead zone at which strokes were cut.
-        fingerprints: fingerprints of all records that are used.
-        channel_data, channel_configs: direction to its tests and to its settings.
+    Where no test is of one direction, its tests are strokes cut from the mixed logs `cycles` at the dead
+    zones of the segmentation. Fingerprints are those of all records that are used.
     """
 
     campaign: Campaign
@@ -138,6 +129,7 @@ class CampaignJob:
                 for direction, dead_zone in {**mixed_dead_zones(campaign), **dead_zones}.items()
             }
             cycles = campaign.identification(CYCLE)
+            # Of the logs and of their strokes: a model must know either where it is validated on them.
             fingerprints |= _fingerprints(campaign, (CYCLE,), recorded)
             campaign = campaign.segmented(segmentation_dead_zones)
             fingerprints |= _fingerprints(campaign, campaign.directions, recorded)
@@ -153,6 +145,7 @@ class CampaignJob:
             data = prepare(campaign, m, dead_zones.get(m), covariates=names, cycles=cycles)
             channel_data[m] = replace(data, notices=(*in_motion, *data.notices))
             channel_configs[m] = config.channel(m, campaign, checkpoints)
+        # Now, not after the hours of phase 1.
         _check_window(config.training, channel_data)
         seen = frozenset(fingerprints)
         return cls(campaign, config, cycles, segmentation_dead_zones, seen, channel_data, channel_configs)
@@ -212,6 +205,7 @@ class CampaignJob:
 
     def build_model(self, results: ChannelResults) -> Identification:
         """Assemble the model from its channels, with provenance, uncertainty and rivals."""
+        # Last of all: only whole cycles show what compensators do where one stroke continues the other.
         results = self.judge_on_cycles(results)
         evidence = feedback_of(self._records())
         notices = [] if evidence is None else [evidence.sentence]

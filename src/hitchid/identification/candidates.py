@@ -78,11 +78,7 @@ def largest_spec(baseline: ModelSpec, *, opening_known: bool) -> ModelSpec:
 def nested_specs(largest: ModelSpec) -> list[tuple[str, ModelSpec]]:
     """Return names and specifications of the candidates, from a dead time alone to all options."""
     delayed = replace(
-        largest,
-        bounds={},
-        valve_curve=False,
-        spool_dynamics=False,
-        stroke_gain_quadratic=False,
+        largest, bounds={}, valve_curve=False, spool_dynamics=False, stroke_gain_quadratic=False
     )
     with_curve = replace(delayed, bounds=largest.bounds, valve_curve=True)
     with_spool = replace(with_curve, spool_dynamics=True)
@@ -185,11 +181,6 @@ class Candidate:
         In free run as it is, or, over six tests or more, with a gain fitted to each test: the unmeasured load
         of a test changes its speed from the first sample to the last and may hide what a form adds. In the
         figure that does not decide it must not be significantly worse (5 %).
-
-        Args:
-            other: the candidate it is compared with.
-            comparisons: number of comparisons in the choice; see `better_on_held_out_tests`.
-            tests: which of the held-out tests count, shape [H].
         """
         free_run = self.held_out[tests], other.held_out[tests]
         per_test_gain = self.held_out_per_test_gain[tests], other.held_out_per_test_gain[tests]
@@ -208,12 +199,7 @@ def _significantly_worse(errors: np.ndarray, other_errors: np.ndarray) -> bool:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Optimum of a candidate and its errors.
-
-    Attributes:
-        positions: all parameters of the objective in the unit cube, free and fixed, shape [D].
-        rmse, held_out, held_out_per_test_gain, fold: as in `Candidate`.
-    """
+    """Optimum of a candidate, free and fixed positions in the unit cube, and its errors; see `Candidate`."""
 
     positions: np.ndarray
     rmse: float
@@ -241,10 +227,7 @@ def best_candidate(candidates: Sequence[Candidate], tests: np.ndarray | None = N
     Each later candidate is compared with the best one before it in two figures; see `Candidate.is_better`.
     Significance is judged for all of these comparisons together: where none of the later candidates is better
     than the first, the probability that the choice leaves it is 10 % at most.
-
-    Args:
-        candidates: the smallest first, over the same held-out tests.
-        tests: which of the held-out tests count, shape [H]; None for all.
+    The smallest comes first, all over the same held-out tests.
     """
     counted = np.ones(candidates[0].fold.size, bool) if tests is None else tests
     best = 0
@@ -340,9 +323,8 @@ def operating_point_folds(batch: Batch, *, separate_tests: bool) -> list[np.ndar
 def operating_points(levels: np.ndarray, *, separate_tests: bool) -> np.ndarray:
     """Return the index of the operating point of each test, in the order of the levels, shape [T].
 
-    Args:
-        levels: mean command of each test where it is active, shape [T].
-        separate_tests: whether tests at one level differ in another input, so that each is a point.
+    Levels are mean commands where a test is active; where tests at one level differ in another input, each is
+    a point.
     """
     order = np.argsort(levels)
     is_new_point = separate_tests | (np.diff(levels[order]) > LEVEL_TOLERANCE * float(np.ptp(levels)))

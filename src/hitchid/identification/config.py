@@ -7,6 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 import jax
+from jaxtyping import Array, Key
 
 from hitchid._support import checks
 from hitchid._support.checkpoints import DISABLED, Checkpoints
@@ -77,15 +78,9 @@ class RivalsConfig:
 
 @dataclass(frozen=True)
 class ChannelConfig:
-    """Settings of the identification of one direction.
+    """Settings of the identification of one direction; see `identify`.
 
-    Attributes:
-        spec: model specification of the benchmark, or its automatic choice.
-        paper_spec: model specification of the paper's method, fitted for comparison.
-        search, training, seed: see `identify`.
-        units: `x` and `u` to the units of displacement and command.
-        quick_rivals: whether the rivals that cost little are fitted.
-        checkpoints: store of finished partial results.
+    `paper_spec` is fitted for comparison, `units` are those of displacement `x` and command `u`.
     """
 
     spec: ModelSpec | AutoStructure
@@ -96,6 +91,11 @@ class ChannelConfig:
     units: Mapping[str, str]
     quick_rivals: bool
     checkpoints: Checkpoints
+
+    def random_keys(self, direction: str) -> Key[Array, "4"]:
+        """Return the random keys of a direction: compensator, spare, baselines, the paper's method."""
+        direction_key = jax.random.fold_in(jax.random.key(self.seed), DIRECTIONS.index(direction))
+        return jax.random.split(direction_key, 4)
 
     @property
     def search_spec(self) -> ModelSpec:
@@ -158,15 +158,11 @@ class IdentificationConfig:
 
     def with_campaign_covariates(self, campaign: Campaign) -> "IdentificationConfig":
         """Return the settings with the campaign's covariates where an automatic choice names none."""
-        return replace(
-            self,
-            specs={
-                direction: replace(spec, covariate_names=campaign.covariates)
-                if isinstance(spec, AutoStructure) and not spec.covariate_names
-                else spec
-                for direction, spec in self.specs.items()
-            },
-        )
+        specs = dict(self.specs)
+        for direction, spec in self.specs.items():
+            if isinstance(spec, AutoStructure) and not spec.covariate_names:
+                specs[direction] = replace(spec, covariate_names=campaign.covariates)
+        return replace(self, specs=specs)
 
     def channel(self, direction: str, campaign: Campaign, checkpoints: Checkpoints) -> ChannelConfig:
         """Return the settings of one direction of a campaign."""
@@ -209,14 +205,13 @@ class IdentificationConfig:
     @property
     def stamp(self) -> dict[str, object]:
         """All that the outcome depends on beside the logs, as JSON values."""
-        searches = self.rivals.searches
+        # Where a comparison keeps its runs changes nothing in them.
+        searches = self.rivals.searches and replace(self.rivals.searches, checkpoints=DISABLED)
         return {
             "asked": {**self.describe(), "forms": repr(self.specs), "seed": self.seed},
             "search": repr(self.search),
             "training": repr(self.training),
-            "rivals": repr(
-                replace(self.rivals, searches=searches and replace(searches, checkpoints=DISABLED))
-            ),
+            "rivals": repr(replace(self.rivals, searches=searches)),
             "machine": f"{platform.machine()} {jax.default_backend()}",
             "versions": installed_versions(),
         }

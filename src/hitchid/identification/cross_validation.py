@@ -1,6 +1,6 @@
 """Cross-validation of an identification by tests held out in turn."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -108,20 +108,14 @@ class CrossValidation(Summarised):
 
     def predictions(self, section: str) -> Predictions:
         """Return every test of a section with the predictions of the model identified without it."""
-        parts = [
-            validation.predictions[section]
-            for validation in self.validations
-            if section in validation.predictions
-        ]
+        of_folds = [validation.predictions for validation in self.validations]
+        parts = [predictions[section] for predictions in of_folds if section in predictions]
+        runs = [run for run in (FREE_RUN, ONE_STEP) if all(run in part.models for part in parts)]
         return Predictions(
             names=tuple(name for part in parts for name in part.names),
             time_s=tuple(row for part in parts for row in part.time_s),
             actual=tuple(row for part in parts for row in part.actual),
-            models={
-                run: tuple(row for part in parts for row in part.models[run])
-                for run in (FREE_RUN, ONE_STEP)
-                if all(run in part.models for part in parts)
-            },
+            models={run: tuple(row for part in parts for row in part.models[run]) for run in runs},
         )
 
     def figures(self, section: str) -> ModelFigures:
@@ -177,12 +171,7 @@ class CrossValidation(Summarised):
 
 @dataclass(frozen=True)
 class Fold:
-    """One division of a campaign.
-
-    Attributes:
-        training: everything but the held-out tests, of which no other copy is in it; nothing is held out.
-        held_out: the held-out tests alone.
-    """
+    """One division: the held-out tests alone, and all but them and their copies, none of it held out."""
 
     training: Campaign
     held_out: Campaign
@@ -223,13 +212,14 @@ def divide(campaign: Campaign, count: int, seed: int) -> tuple[Fold, ...]:
         fold_of_point = dict(zip(rng.permutation(present).tolist(), folds.tolist(), strict=True))
         for record, point in zip(records, points.tolist(), strict=True):
             held_out[fold_of_point[point]].append(record)
-    return tuple(_fold(campaign, records) for records in held_out)
-
-
-def _fold(campaign: Campaign, held_out: Sequence[Record]) -> Fold:
-    fingerprints = {record.fingerprint for record in held_out}
-    training = replace(campaign.without(fingerprints), test_patterns=(), unmatched=())
-    return Fold(training, replace(campaign, records=tuple(held_out), test_patterns=None, unmatched=()))
+    divided = []
+    for records in held_out:
+        # By content, not by name: a copy of a held-out test is not identified from either.
+        others = campaign.without({record.fingerprint for record in records})
+        training = replace(others, test_patterns=(), unmatched=())
+        tests = replace(campaign, records=tuple(records), test_patterns=None, unmatched=())
+        divided.append(Fold(training, tests))
+    return tuple(divided)
 
 
 IDENTIFICATION_SHARE = 0.9  # of the work; the rest is validation (measured at default settings)

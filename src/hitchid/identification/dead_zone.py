@@ -143,10 +143,6 @@ def response_delay(
     """Return the response delay of dynamic tests, s.
 
     The median of the lags of `from_tests`, weighted by their gains at a given dead zone.
-
-    Args:
-        tests, step_s: as for `from_tests`.
-        dead_zone: in the command's unit.
     """
     products = [_normal_equations(*test, np.array([dead_zone]), step_s, 1) for test in tests]
     ((gains, _),) = _gains(np.concatenate(products).sum(axis=0))
@@ -166,10 +162,6 @@ def from_tests(tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], step_
     at the ends of the grid, it is the distance within which the groups' fit worsens by no more than its
     standard error.
 
-    Args:
-        tests: command, travel and loss mask of each test, arrays of shape [N_i].
-        step_s: sampling time, s.
-
     Returns:
         The dead zone. Where all candidates fit the tests equally well, as with one constant command: zero,
         with origin `none` and half of the largest command as spread.
@@ -180,18 +172,16 @@ def from_tests(tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], step_
     normal = np.concatenate([_normal_equations(*test, candidates, step_s, stretches) for test in tests])
     total = normal.sum(axis=0)
     residual_sums, energy = _residual_sums(total), float(total[0, -1, -1])
-    if residual_sums.max() - residual_sums.min() <= FLAT_TOLERANCE * max(
-        residual_sums.max(), ROUNDING * energy
-    ):
+    flat = FLAT_TOLERANCE * max(residual_sums.max(), ROUNDING * energy)
+    if residual_sums.max() - residual_sums.min() <= flat:
         return DeadZone(0.0, UNKNOWN_SPREAD * largest, len(tests), "none")
     best = _parabola_minimum(candidates, residual_sums)
     groups = np.array_split(normal, min(MAX_GROUPS, len(normal)))
-    left_out = np.array(
-        [_parabola_minimum(candidates, _residual_sums(total - group.sum(axis=0))) for group in groups]
-    )
+    sums = np.stack([group.sum(axis=0) for group in groups])
+    left_out = np.array([_parabola_minimum(candidates, _residual_sums(total - row)) for row in sums])
     error = np.sqrt((len(groups) - 1) / len(groups) * np.sum((left_out - left_out.mean()) ** 2))
     if not error:
-        error = _half_width_without_jackknife(candidates, np.stack([group.sum(axis=0) for group in groups]))
+        error = _half_width_without_jackknife(candidates, sums)
     return DeadZone(best, float(error), len(tests), "tests")
 
 

@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -32,13 +31,13 @@ from hitchid.identification.result import ChannelTrace
 from hitchid.identification.rivals import quick_rivals
 from hitchid.identification.selection import AutoStructure, Candidate, choose_spec
 from hitchid.identification.speed_training import HoldoutTest, train_speed_compensator
-from hitchid.logs.record import DIRECTIONS
-from hitchid.model import Bands, Channel, Characteristics, Uncertainty
+from hitchid.model import Channel, Characteristics, Uncertainty
 from hitchid.model.estimates import MAX_INTERVAL_RATIO, Estimate
 from hitchid.networks.operating_range import OperatingRange, SignalRange
 from hitchid.structures import Batch
 from hitchid.structures.structure import DEAD_TIME
 from hitchid.uncertainty import characteristics, information_of, load_scatter
+from hitchid.uncertainty.conformal import HeldOutErrors
 
 POOR_FIT = 0.05  # RMSE in free run over the travel, from which on something is not as assumed (chosen)
 FEWEST_LOADS = 3  # tests, of which two differences are left beside the gain
@@ -93,10 +92,8 @@ def find_benchmark(
     dead_zone = data.dead_zone
     for candidate in candidates:
         if candidate.chosen and candidate.dead_zone != dead_zone.value:
-            shift = abs(candidate.dead_zone - dead_zone.value)
-            dead_zone = replace(
-                dead_zone, value=candidate.dead_zone, spread=max(dead_zone.spread or 0.0, shift)
-            )
+            spread = max(dead_zone.spread or 0.0, abs(candidate.dead_zone - dead_zone.value))
+            dead_zone = replace(dead_zone, value=candidate.dead_zone, spread=spread)
     data = data.with_dead_zone(dead_zone)
     channel = data.channel(phase1.benchmark, operating_range_of(data.all_tests, phase1.benchmark.covariates))
     log.tell("speed map", "speed map")
@@ -151,6 +148,7 @@ def find_compensators(
     parts = split_progress(progress, {name: share for name, share in shares.items() if share})
     log, batch, phase1 = _Log(parts, list(trace.notices), dict(trace.seconds)), data.all_tests, trace.phase1
     held_out = cross_fitted(channel, phase1)
+    # First the filter: the compensator predicts its innovations.
     log.tell("load filter", "filter for loads that are not measured")
     with log.timed("load filter"):
         filtered = attempt("load filter", lambda: with_load_filters(channel, held_out, batch), log.notices)
@@ -159,40 +157,54 @@ def find_compensators(
     if training is not None:
         judged, history, holdout_test = _trained(channel, held_out, data, training, config, log)
         channel, held_out, errors = judged.channel, judged.held_out, judged.errors
+    # The bands come last: they are calibrated on the channels as they ship, compensators judged and limited.
     rivals = None
     if config.quick_rivals:
         with log.timed("rivals"):
             rivals = quick_rivals(data, initial_data, config, trace.candidates, parts["rivals"])
         log.notices.extend(rivals.notices)
+    return channel, replace(
+        trace,
+        phase2=history,
+        holdout_test=holdout_test,
+        uncertainty=_uncertainty(channel, held_out, errors, trace, data, log),
+        rivals=rivals,
+        seconds=log.seconds,
+        notices=tuple(log.notices),
+    )
+
+
+def _uncertainty(
+    channel: Channel,
+    held_out: tuple[HeldOut, ...],
+    errors: Mapping[int, HeldOutErrors] | None,
+    trace: ChannelTrace,
+    data: ChannelData,
+    log: _Log,
+) -> Uncertainty:
+    """Return the bands around predictions, the information of the tests and the scatter of their loads."""
+    phase1, batch = trace.phase1, data.all_tests
+    objective, position, influence = phase1.fit.objective, phase1.fit.position, phase1.influence
+    tests, bands, scatter = batch.command.shape[0], None, None
     log.tell("bands", "bands around predictions")
-    tests = batch.command.shape[0]
-
-    def bands_of_channel() -> Bands | None:
-        return None if tests < FEWEST_TESTS else calibrate_bands(channel, phase1, batch, held_out, errors)
-
     with log.timed("bands"):
-        bands = attempt("bands around predictions", bands_of_channel, log.notices)
+        if tests >= FEWEST_TESTS:
+            bands = attempt(
+                "bands around predictions",
+                lambda: calibrate_bands(channel, phase1, batch, held_out, errors),
+                log.notices,
+            )
     log.notices.extend(band_notices(tests))
     stage = "information for the design of tests"
     log.tell("information", stage)
-    objective, position, influence = phase1.fit.objective, phase1.fit.position, phase1.influence
     information = attempt(stage, lambda: information_of(objective, position, influence), log.notices)
-    scatter = None
     if len(data.names) >= FEWEST_LOADS:
         scatter = attempt(
             "scatter of the load between tests",
             lambda: load_scatter(objective, position, influence.free, data.names),
             log.notices,
         )
-    return channel, replace(
-        trace,
-        phase2=history,
-        holdout_test=holdout_test,
-        uncertainty=Uncertainty(phase1.assessment, bands, information, trace.characteristics, scatter),
-        rivals=rivals,
-        seconds=log.seconds,
-        notices=tuple(log.notices),
-    )
+    return Uncertainty(phase1.assessment, bands, information, trace.characteristics, scatter)
 
 
 def _trained(
@@ -204,8 +216,7 @@ def _trained(
     log: _Log,
 ) -> tuple[JudgedCompensator, TrainingHistory, HoldoutTest | None]:
     """Return a channel with its compensators, for predictions and for free run, as far as they help."""
-    direction_key = jax.random.fold_in(jax.random.key(config.seed), DIRECTIONS.index(data.direction))
-    key, stage = jax.random.split(direction_key, 4)[0], "training the correction of predictions"
+    key, stage = config.random_keys(data.direction)[0], "training the correction of predictions"
     log.tell("compensator", stage)
     with log.timed("compensator"):
         channel, history = with_compensator(

@@ -27,12 +27,7 @@ def folds_of(tests: int) -> list[Bool[np.ndarray, " t"]]:
 
 
 class HeldOut(NamedTuple):
-    """Tests, and the channel that was fitted without them.
-
-    Attributes:
-        tests: which tests are held out, shape [T].
-        channel: fitted to the other tests.
-    """
+    """A mask of tests, and the channel that was fitted to the others."""
 
     tests: Bool[np.ndarray, " t"]
     channel: Channel
@@ -112,13 +107,7 @@ def calibrated_horizons(step_s: float) -> tuple[int, ...]:
 def held_out_errors(
     held_out: Sequence[HeldOut], batch: Batch, horizons: Iterable[int]
 ) -> dict[int, HeldOutErrors]:
-    """Return for each horizon shorter than all tests the errors of predictions of the tests.
-
-    Args:
-        held_out: channels fitted without each fold; every test is held out once.
-        batch: all tests.
-        horizons: in samples, ascending.
-    """
+    """Return for each horizon shorter than all tests the errors of predictions of the tests."""
     loss_mask, measured = np.asarray(batch.loss_mask), np.asarray(batch.displacement)
     shortest = loss_mask.sum(axis=1).min()
     horizons = tuple(horizon for horizon in horizons if horizon < shortest)

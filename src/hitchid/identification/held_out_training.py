@@ -137,13 +137,7 @@ def calibrate_bands(
     Each test is predicted by the channel that was fitted without it, in free run and over all horizons
     (cross-fitting; with the tests as groups that of CV+, Barber et al. 2021, around the channel's own
     prediction). The errors, divided by the spread, give the factors of the bands.
-
-    Args:
-        channel: benchmark and compensators.
-        phase1: its benchmark.
-        batch: all identification tests.
-        held_out: channels fitted without each fold of them; every test is held out once.
-        predicted: `held_out_errors` of their predictions where they are known.
+    Errors of predictions are computed where they are not given.
     """
     tests = batch.command.shape[0]
     ensemble, spreads = _selected_ensemble(channel, phase1, batch)
@@ -226,10 +220,7 @@ Tree = TypeVar("Tree")
 class CompensatorTraining(NamedTuple):
     """How the compensator for predictions of a channel was trained.
 
-    Attributes:
-        settings: size and optimiser.
-        epochs: number of epochs after which its weights were kept.
-        key: initial weights and shuffling.
+    `epochs` is the number after which its weights were kept, `key` of initial weights and shuffling.
     """
 
     settings: CompensatorConfig
@@ -263,25 +254,17 @@ def with_compensators(
     stacked_sequences = _stacked(sequences)
     keys = jax.random.split(key, len(held_out))
     trained = _train(stacked_networks, stacked_sequences, settings, jnp.asarray(epochs), keys)
-    return tuple(
-        HeldOut(
-            tests,
-            replace(
-                channel,
-                compensator=eqx.tree_at(lambda tree: tree.network, compensator, _item(trained, number)),
-            ),
-        )
-        for number, ((tests, channel), compensator) in enumerate(zip(held_out, compensators, strict=True))
-    )
+    trained = jax.tree.map(np.asarray, trained)
+    folds = []
+    for number, ((tests, channel), compensator) in enumerate(zip(held_out, compensators, strict=True)):
+        network = jax.tree.map(lambda leaf, number=number: jax.device_put(leaf[number]), trained)
+        folds.append(HeldOut(tests, replace(channel, compensator=replace(compensator, network=network))))
+    return tuple(folds)
 
 
 # By NumPy, as no shape must be compiled for that.
 def _stacked(trees: Sequence[Tree]) -> Tree:
     return jax.tree.map(lambda *leaves: jax.device_put(np.stack(leaves)), *trees)
-
-
-def _item(stacked: Lstm, number: int) -> Lstm:
-    return jax.tree.map(lambda leaf: jax.device_put(np.asarray(leaf)[number]), stacked)
 
 
 @eqx.filter_jit

@@ -82,6 +82,7 @@ def run_pipeline(
     def build_model(number: int) -> Identification:
         return jobs[number].build_model(_campaign_results(phase2_results, number))
 
+    # Phase by phase over all campaigns, so that each program is compiled once and no core waits.
     phase1_results = _phase(run_phase1, keys, parts["phase 1"])
     calibrated_results = parallel(lambda number: _result_or_error(calibrate_gains, number), jobs)
     if on_physics is not None and config.training is not None:
@@ -104,9 +105,7 @@ def run_pipeline(
 
 
 def _phase(
-    work: Callable[[Key, ProgressCallback], ChannelResult],
-    keys: Sequence[Key],
-    progress: ProgressCallback,
+    work: Callable[[Key, ProgressCallback], ChannelResult], keys: Sequence[Key], progress: ProgressCallback
 ) -> Mapping[Key, ChannelResult | HitchError]:
     """Do one phase for all directions at the same time."""
     single_campaign = len({number for number, _ in keys}) == 1

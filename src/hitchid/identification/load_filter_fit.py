@@ -75,11 +75,7 @@ def fit_load_filter(
     variances S. Of one sample ahead that is the likelihood of the tests (Schweppe 1965, Evaluation of
     likelihood functions for Gaussian signals), in which loads are integrated out; of several horizons it is a
     composite likelihood (Varin, Reid & Firth 2011, An overview of composite likelihood methods).
-
-    Args:
-        batch: identification tests.
-        benchmark: displacement simulated for each test by a benchmark fitted without it, shape [T, N].
-        first_guess: filter to start from.
+    Displacements are those of a benchmark fitted without the test, shape [T, N].
 
     Raises:
         FitError: what the benchmark simulates is not finite, or no likelihood is.
@@ -150,16 +146,9 @@ def _typical_values(batch: Batch, benchmark: np.ndarray) -> Float[np.ndarray, " 
     rms = float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) or 1.0
     distance = float(np.mean([np.abs(np.diff(run)).sum() for run, _ in pairs])) or 1.0
     duration_s = batch.step_s * float(np.mean([error.size for error in errors]))
-    return np.array(
-        [
-            max(sensor_noise(errors), 1e-3 * rms),
-            TYPICAL_LOAD_SCATTER,
-            distance,
-            0.1 * rms,
-            max(TYPICAL_TIME_S, FEWEST_SAMPLES * batch.step_s),
-            0.01 * rms / np.sqrt(duration_s),
-        ]
-    )
+    noise, time_s = max(sensor_noise(errors), 1e-3 * rms), max(TYPICAL_TIME_S, FEWEST_SAMPLES * batch.step_s)
+    drift = 0.01 * rms / np.sqrt(duration_s)
+    return np.array([noise, TYPICAL_LOAD_SCATTER, distance, 0.1 * rms, time_s, drift])
 
 
 @eqx.filter_jit

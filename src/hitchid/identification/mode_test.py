@@ -41,13 +41,8 @@ def calibrate_gains(hitch: Hitch, records: Sequence[Record]) -> dict[str, float]
     def residuals(logarithms: np.ndarray) -> np.ndarray:
         return np.concatenate(_residuals(hitch, directions, logarithms, records))
 
-    best = least_squares(
-        residuals,
-        np.zeros(len(directions)),
-        bounds=(-MAX_LOG_FACTOR, MAX_LOG_FACTOR),
-        diff_step=STEP,
-        x_scale=STEP,
-    )
+    start, bounds = np.zeros(len(directions)), (-MAX_LOG_FACTOR, MAX_LOG_FACTOR)
+    best = least_squares(residuals, start, bounds=bounds, diff_step=STEP, x_scale=STEP)
     return dict(zip(directions, np.exp(best.x).tolist(), strict=True))
 
 
@@ -56,23 +51,18 @@ def calibration_improves(hitch: Hitch, records: Sequence[Record]) -> bool:
 
     To first order in the logarithms of the factors; see `better_on_held_out_tests`. False for one record.
     """
+    if len(records) < 2:
+        return False
     directions = _with_gains(hitch)
-    zeros = np.zeros(len(directions))
-    nominal = _residuals(hitch, directions, zeros, records)
-    perturbed = [
-        _residuals(hitch, directions, STEP * unit_vector, records) for unit_vector in np.eye(len(directions))
-    ]
+    nominal = _residuals(hitch, directions, np.zeros(len(directions)), records)
+    perturbed = [_residuals(hitch, directions, step, records) for step in STEP * np.eye(len(directions))]
     jacobians = [
-        np.stack(
-            [(perturbed_residuals[number] - residuals) / STEP for perturbed_residuals in perturbed], axis=1
-        )
+        np.stack([(rows[number] - residuals) / STEP for rows in perturbed], axis=1)
         for number, residuals in enumerate(nominal)
     ]
     held_out = []
     for number, residuals in enumerate(nominal):
         others = [index for index in range(len(records)) if index != number]
-        if not others:
-            return False
         log_factors = np.linalg.lstsq(
             np.concatenate([jacobians[index] for index in others]),
             -np.concatenate([nominal[index] for index in others]),
@@ -148,7 +138,12 @@ def compare_modes(channel_data: Mapping[str, ChannelData]) -> TwoModes | None:
     objective = Objective.of(batch, SPEC)
     every_test = np.ones(direction_index.size, bool)
     directions = [direction_index == index for index in np.unique(direction_index)]
-    shared, *separate = [_best_fit(objective, tests) for tests in (every_test, *directions)]
+
+    def best_fit(tests: Bool[np.ndarray, " t"]) -> np.ndarray:
+        fits = [_fit(objective, tests, np.array(start), STEPS) for start in STARTS]
+        return min(fits, key=lambda fit: float(np.sum(objective.rmse_by_test(fit)[tests] ** 2)))
+
+    shared, *separate = [best_fit(tests) for tests in (every_test, *directions)]
     two_errors = [
         _held_out_errors(objective, tests, best) for tests, best in zip(directions, separate, strict=True)
     ]
@@ -173,26 +168,15 @@ def _difference(
     free = np.all((fits > AT_BOUND) & (fits < 1 - AT_BOUND), axis=0)
     if not free.any():
         return None
-    held = [np.where(free, position, shared) for position in separate]
-    if not free.all():
-        held = [
-            _fit(objective, tests, position, STEPS, free)
-            for tests, position in zip(directions, held, strict=True)
-        ]
-    scores = [
-        Scores.by_test(objective.over(tests), position).select_parameters(free)
-        for tests, position in zip(directions, held, strict=True)
-    ]
+    held, scores = [], []
+    for tests, position in zip(directions, separate, strict=True):
+        position = np.where(free, position, shared)
+        if not free.all():
+            position = _fit(objective, tests, position, STEPS, free)
+        held.append(position)
+        scores.append(Scores.by_test(objective.over(tests), position).select_parameters(free))
     names = [parameter.name for parameter, is_free in zip(SPEC.parameters, free, strict=True) if is_free]
     return difference_test(held[0][free] - held[1][free], scores[0], scores[1], names)
-
-
-def _best_fit(objective: Objective, tests: Bool[np.ndarray, " t"]) -> np.ndarray:
-    """Return the best least-squares position over some tests, from several starts."""
-    return min(
-        (_fit(objective, tests, np.array(start), STEPS) for start in STARTS),
-        key=lambda position: float(np.sum(objective.rmse_by_test(position)[tests] ** 2)),
-    )
 
 
 def _held_out_errors(
@@ -253,7 +237,6 @@ def _fit(
     """Return the least-squares position over some tests; the parameters that are not free stay."""
     columns = np.arange(start.size) if free is None else np.flatnonzero(free)
     position = start.copy()
-    position[columns] = refine_subset(
-        objective.over(tests), columns.tolist(), [start], limit, TOLERANCE
-    ).position
+    fit = refine_subset(objective.over(tests), columns.tolist(), [start], limit, TOLERANCE)
+    position[columns] = fit.position
     return position

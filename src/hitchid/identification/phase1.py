@@ -1,6 +1,6 @@
 """Phase 1: the physical model's parameters by a global search and least squares."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -97,23 +97,12 @@ def identify_benchmark(
 ) -> Phase1:
     """Find the parameters that minimise the free-run error over all tests, with their intervals.
 
-    Args:
-        batch, spec, search, seed, progress, checkpoints: see `find_parameters`.
-        units: `x` and `u` to the units of displacement and command.
-        dead_zone: its standard error.
-
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
     """
     parts = split_progress(progress, {"fit": 0.6, "intervals": 0.4})
     fit = find_parameters(
-        batch,
-        spec,
-        search,
-        seed,
-        unit=units["x"],
-        progress=parts["fit"],
-        checkpoints=checkpoints,
+        batch, spec, search, seed, unit=units["x"], progress=parts["fit"], checkpoints=checkpoints
     )
     return assess_fit(fit, units=units, dead_zone=dead_zone, seed=seed, progress=parts["intervals"])
 
@@ -134,15 +123,6 @@ def find_parameters(
     (ê = 0), where each test weighs the same however long it is. The search runs in the unit cube, over
     logarithms of what is positive.
 
-    Args:
-        batch: identification tests.
-        spec: structure, dead time, bounds.
-        search: global search; least squares follows it whatever it is.
-        seed: every random draw comes from it.
-        unit: of the displacement, for `progress`.
-        progress: called with the current task and the completed fraction.
-        checkpoints: where finished results are kept and read back.
-
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
     """
@@ -159,15 +139,20 @@ def find_parameters(
         lambda: search.minimise(problem, seed, callback),
         {"best": Cube((size,)), "fitness_trace": ("g",), "best_trace": Cube(("g", size))},
     )
-    position = checkpoints.cached_arrays(
-        "least squares",
-        lambda: {
-            "position": _refine_from_starts(
-                objective, [search_result.best, *_local_starts(spec, seed)], parts
-            )
-        },
-        {"position": Cube((size,))},
-    )["position"]
+
+    def refined() -> dict[str, np.ndarray]:
+        parts["rough"](ProgressUpdate("refining parameters from several starts", 0.0))
+        starts = [search_result.best, *_local_starts(spec, seed)]
+        coarse = objective.with_data(batch.coarse()).problem()
+        rough_result = best_refined(coarse, starts, limit=ROUGH_STEPS, tolerance=ROUGH_TOLERANCE)
+        parts["least squares"](ProgressUpdate("refining parameters", 0.0))
+        best = refine(objective.problem(), rough_result.position, limit=STEPS)
+        # The first descents are over fewer samples: over all of them the first start may be better.
+        is_better = best.fitness <= objective.error(starts[0])
+        return {"position": with_calibrated_gain(objective, best.position if is_better else starts[0])}
+
+    shapes = {"position": Cube((size,))}
+    position = checkpoints.cached_arrays("least squares", refined, shapes)["position"]
     return Fit(objective, position, objective, search_result)
 
 
@@ -184,11 +169,6 @@ def continue_fit(
 
     No global search: the form grew from a plain one that was searched, through least squares from several
     starts, and a search of the larger form changed hardly any model (docs/performance.md).
-
-    Args:
-        batch, spec, progress, checkpoints: see `find_parameters`.
-        start: values of the form's parameters, shape [D].
-        plain: fit of the plain form, whose search is kept.
     """
     objective = Objective.of(batch, spec)
     progress(ProgressUpdate("refining parameters", 0.0))
@@ -200,21 +180,6 @@ def continue_fit(
     shapes = {"position": Cube((len(spec.parameters),))}
     position = checkpoints.cached_arrays("least squares", work, shapes)["position"]
     return Fit(objective, position, plain.searched, plain.search_result)
-
-
-def _refine_from_starts(
-    objective: Objective, starts: Sequence[np.ndarray], parts: Mapping[str, ProgressCallback]
-) -> np.ndarray:
-    """Return where least squares ends from the best of several starts."""
-    parts["rough"](ProgressUpdate("refining parameters from several starts", 0.0))
-    coarse = objective.with_data(objective.batch.coarse()).problem()
-    rough_result = best_refined(coarse, starts, limit=ROUGH_STEPS, tolerance=ROUGH_TOLERANCE)
-    problem = objective.problem()
-    parts["least squares"](ProgressUpdate("refining parameters", 0.0))
-    best = refine(problem, rough_result.position, limit=STEPS)
-    # The first descents are over fewer samples: over all of them the first start may be better.
-    start_error = objective.error(starts[0])
-    return with_calibrated_gain(objective, best.position if best.fitness <= start_error else starts[0])
 
 
 def assess_fit(

@@ -112,13 +112,7 @@ def train_compensator(
     Scaling comes from the training tests alone. Of more than 1000 stretches every m-th is taken:
     neighbours are alike. A prediction reads between L and 2 L features, because
     stretches share them, in training as later; see `CompensatorState`.
-
-    Args:
-        training, validation: tests and the displacement the benchmark gives for them, shape [T, N].
-        load_filter: whose innovations the compensator predicts.
-        settings: size, window, optimiser.
-        key: initial weights and shuffling.
-        progress, checkpoints: see `train`.
+    Tests come with the displacement the benchmark gives for them, shape [T, N].
 
     Returns:
         The compensator of the epoch with the smallest validation loss, and both losses.
@@ -160,13 +154,7 @@ def untrained_compensator(
 ) -> tuple[Compensator, Sequences]:
     """Return an untrained compensator scaled to tests, and the stretches of these to train it on.
 
-    Args:
-        batch: tests.
-        benchmark: displacement the benchmark gives for them, shape [T, N].
-        load_filter: whose innovations the compensator predicts.
-        settings: size and window.
-        key: initial weights.
-        loss_mask: samples to scale and to train on; the others give stretches without targets.
+    Samples outside the mask are not scaled to, and give stretches without targets.
     """
     features, innovations = _features(batch, benchmark, load_filter)
     mask = np.asarray(loss_mask)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,14 +63,8 @@ class ChannelData:
 
     def channel(self, benchmark: PhysicalModel, operating_range: OperatingRange) -> Channel:
         """Return a channel with a benchmark and no compensators."""
-        return Channel(
-            direction=self.direction,
-            sign=self.sign,
-            dead_zone=self.dead_zone.value,
-            end_stop=self.end_stop,
-            benchmark=benchmark,
-            operating_range=operating_range,
-        )
+        dead_zone, stop = self.dead_zone.value, self.end_stop
+        return Channel(self.direction, self.sign, dead_zone, stop, benchmark, operating_range=operating_range)
 
     def with_dead_zone(self, dead_zone: DeadZone) -> "ChannelData":
         """Return the tests behind another dead zone."""
@@ -93,62 +88,14 @@ def prepare(
     """Prepare the identification tests of one direction.
 
     Left out are tests that lack a covariate or are all at the end stop, and ramps that end before the
-    piston moves; of a strict campaign the first of them is an error. What is held out stays so.
-
-    Args:
-        campaign: tests, of one direction each.
-        direction: the direction.
-        dead_zone: where it is known already; otherwise found from ramps, or else from the tests.
-        covariates: names of further measured inputs.
-        cycles: the mixed logs that the tests are strokes of, in which end stops are looked for.
+    piston moves; of a strict campaign the first of them is an error. What is held out stays so. Where it is
+    not known already, the dead zone is found from ramps, or else from the tests. End stops are looked for in
+    the mixed logs that the tests are strokes of.
 
     Raises:
         InputError: every test of the direction is held out or left out.
     """
-    records = campaign.identification(direction)
-    if not records:
-        raise InputError(
-            f"all {len(campaign.of_kind(direction))} {direction} tests are held out; "
-            "name at least one for identification under [split]"
-        )
-    strict, total = campaign.strict, len(records)
-    records, without_covariate = split_usable(
-        _by_name(records), lambda record: record.require(covariates), strict=strict
-    )
-    if not records:
-        refuse(without_covariate, f"{direction} tests")
-    sign = _direction(records, direction)
-    known = campaign.end_stop(sign)
-    others = [
-        record for way in campaign.directions if way != direction for record in campaign.identification(way)
-    ]
-    stop = find_end_stop(cycles or records, direction, sign, known, () if cycles else others)
-    end_stop = known if stop is None else stop.position
-    records, at_end_stop = split_usable(
-        _by_name(records), lambda record: _check_before_end_stop(record, sign, end_stop), strict=strict
-    )
-    if not records:
-        refuse([*without_covariate, *at_end_stop], f"{direction} tests")
-    left_out = [*without_covariate, *at_end_stop]
-    records = _without_long_rests(records, direction)
-    left_out_sentences = map(str, left_out_notices(left_out, total, f"{direction} tests"))
-    # Strokes of one log share its notices; `log#003` is a stroke of `log`.
-    logs = [(record.name.partition(STROKE_SEPARATOR)[0], record.notices) for record in records]
-    log_notices = dict.fromkeys(f"{name}: {notice}" for name, texts in logs for notice in texts)
-    notices = [*log_notices, *left_out_sentences]
-    if sign != _expected_sign(direction):
-        notices.append(
-            f"the displacement {'increases' if sign > 0 else 'decreases'} in {direction}; "
-            "the direction is identified as measured"
-        )
-    if end_stop is not None:
-        reached = () if stop is None else stop.reached
-        names = f" ({', '.join(reached)})" if reached else ""
-        logs = f"{len(cycles)} logs" if cycles else f"{total - len(without_covariate)} tests"
-        notices.append(
-            f"end stop at {end_stop:.4g} {records[0].unit}{', as given' if known is not None else ''}, "
-            f"reached in {len(reached)} of {logs}{names}; samples at it are left out"
-        )
+    records, sign, end_stop, left_out, notices = _usable_tests(campaign, direction, covariates, cycles)
     updates = [update_interval(record, quality(record)) for record in cycles or records]
     update_s = max((interval for interval in updates if interval is not None), default=0.0)
     if update_s:
@@ -186,6 +133,66 @@ def prepare(
         left_out=tuple(left_out),
         update_s=update_s,
     )
+
+
+class _UsableTests(NamedTuple):
+    """Tests of one direction that can be used, which way and how far the piston goes, and what is said."""
+
+    records: list[Record]
+    sign: int
+    end_stop: float | None
+    left_out: list[LeftOut]
+    notices: list[str]
+
+
+def _usable_tests(
+    campaign: Campaign, direction: str, covariates: Sequence[str], cycles: Sequence[Record]
+) -> _UsableTests:
+    records = campaign.identification(direction)
+    if not records:
+        raise InputError(
+            f"all {len(campaign.of_kind(direction))} {direction} tests are held out; "
+            "name at least one for identification under [split]"
+        )
+    strict, total = campaign.strict, len(records)
+    records, without_covariate = split_usable(
+        _by_name(records), lambda record: record.require(covariates), strict=strict
+    )
+    if not records:
+        refuse(without_covariate, f"{direction} tests")
+    sign = _direction(records, direction)
+    known = campaign.end_stop(sign)
+    # Before the tests at it are left out: they are those that show where it is.
+    others = [
+        record for way in campaign.directions if way != direction for record in campaign.identification(way)
+    ]
+    stop = find_end_stop(cycles or records, direction, sign, known, () if cycles else others)
+    end_stop = known if stop is None else stop.position
+    records, at_end_stop = split_usable(
+        _by_name(records), lambda record: _check_before_end_stop(record, sign, end_stop), strict=strict
+    )
+    left_out = [*without_covariate, *at_end_stop]
+    if not records:
+        refuse(left_out, f"{direction} tests")
+    records = _without_long_rests(records, direction)
+    # Strokes of one log share its notices; `log#003` is a stroke of `log`.
+    logs = [(record.name.partition(STROKE_SEPARATOR)[0], record.notices) for record in records]
+    log_notices = dict.fromkeys(f"{name}: {notice}" for name, texts in logs for notice in texts)
+    notices = [*log_notices, *map(str, left_out_notices(left_out, total, f"{direction} tests"))]
+    if sign != _expected_sign(direction):
+        notices.append(
+            f"the displacement {'increases' if sign > 0 else 'decreases'} in {direction}; "
+            "the direction is identified as measured"
+        )
+    if end_stop is not None:
+        reached = () if stop is None else stop.reached
+        names = f" ({', '.join(reached)})" if reached else ""
+        searched = f"{len(cycles)} logs" if cycles else f"{total - len(without_covariate)} tests"
+        notices.append(
+            f"end stop at {end_stop:.4g} {records[0].unit}{', as given' if known is not None else ''}, "
+            f"reached in {len(reached)} of {searched}{names}; samples at it are left out"
+        )
+    return _UsableTests(records, sign, end_stop, left_out, notices)
 
 
 def mixed_dead_zones(campaign: Campaign) -> dict[str, DeadZone]:
@@ -241,14 +248,12 @@ def _by_name(records: Sequence[Record]) -> list[tuple[str, Record]]:
 
 def _check_before_end_stop(record: Record, sign: int, end_stop: float | None) -> Record:
     """Return a record unless all of it is at the end stop."""
+    source = record.source or record.name
     if len(record) < FEWEST_SAMPLES:
-        raise LogError(
-            record.source or record.name,
-            f"the stroke has {len(record)} samples; expected {FEWEST_SAMPLES} or more",
-        )
+        raise LogError(source, f"the stroke has {len(record)} samples; expected {FEWEST_SAMPLES} or more")
     if np.count_nonzero(before_end_stop(record.displacement, sign, end_stop)) < FEWEST_SAMPLES:
         raise LogError(
-            record.source or record.name,
+            source,
             f"the piston is at its end stop of {end_stop:.4g} {record.unit} from the start; "
             "expected a test that starts before the end stop",
         )

@@ -6,10 +6,9 @@ longer than the model, only on request.
 
 from collections.abc import Mapping, Sequence
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Key, PRNGKeyArray
+from jaxtyping import PRNGKeyArray
 
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, attempt, split_progress
 from hitchid.baselines.baseline import Baseline, FitContext, FittedBaseline
@@ -20,7 +19,6 @@ from hitchid.identification.config import ChannelConfig
 from hitchid.identification.phase1 import find_parameters, identify_benchmark
 from hitchid.identification.phase2 import CompensatorConfig, epoch_callback, with_compensator
 from hitchid.identification.preparation import ChannelData
-from hitchid.logs.record import DIRECTIONS
 from hitchid.model import Channel, Estimates, Rivals, SearchSummary
 from hitchid.networks.operating_range import OperatingRange
 from hitchid.structures import PhysicalModel
@@ -39,19 +37,14 @@ def quick_rivals(
 ) -> Rivals:
     """Fit ARX and the paper's transfer function.
 
-    Args:
-        data: tests of a channel.
-        initial_data: its tests with the dead zone of a linear valve, for the paper's method.
-        config: settings of the direction.
-        candidates: of the choice of its form; the first may be the paper's transfer function.
-        progress: called with the current task and the completed fraction.
+    The paper's method gets the tests with the dead zone of a linear valve; the first candidate of the choice
+    may be it.
     """
     notices: list[str] = []
     quick = {name: baseline for name, baseline in all_baselines().items() if baseline.quick}
     parts = split_progress(progress, {"baselines": 0.5, "paper": 0.5})
-    baselines = _fit_baselines(
-        quick, data, config, CompensatorConfig(), _keys(data, config)[0], parts["baselines"], notices
-    )
+    key = config.random_keys(data.direction)[2]
+    baselines = _fit_baselines(quick, data, config, CompensatorConfig(), key, parts["baselines"], notices)
     paper = None
     if config.spec != config.paper_spec:
         parts["paper"](ProgressUpdate("the paper's transfer function", 0.0))
@@ -73,16 +66,10 @@ def trained_rivals(
     searches: SearchComparison | None,
     progress: ProgressCallback,
 ) -> Rivals:
-    """Fit all baselines, the method of Sun et al. 2025 where the channel has another form, and the searches.
-
-    Args:
-        data, initial_data, config, progress: as for `quick_rivals`.
-        training: size and training of networks.
-        searches: that are compared; None compares none.
-    """
+    """Fit all baselines, the paper's method where the channel has another form, and the searches."""
     notices: list[str] = []
     parts = split_progress(progress, {"baselines": 0.55, "paper": 0.35, "searches": 0.1})
-    baseline_key, paper_key = _keys(data, config)
+    _, _, baseline_key, paper_key = config.random_keys(data.direction)
     baselines = _fit_baselines(
         all_baselines(), data, config, training, baseline_key, parts["baselines"], notices
     )
@@ -110,12 +97,6 @@ def trained_rivals(
         tuple(notices),
         trained=True,
     )
-
-
-def _keys(data: ChannelData, config: ChannelConfig) -> Key[Array, " k"]:
-    """Return the random keys of the baselines and of the paper's method."""
-    direction_key = jax.random.fold_in(jax.random.key(config.seed), DIRECTIONS.index(data.direction))
-    return jax.random.split(direction_key, 4)[2:]
 
 
 def _compare_searches(

@@ -30,14 +30,7 @@ from hitchid.identification.candidates import (
     with_positions,
 )
 from hitchid.identification.phase1 import Fit, Phase1, assess_fit, continue_fit, find_parameters
-from hitchid.structures import (
-    Batch,
-    ModelOption,
-    ModelSpec,
-    Structure,
-    external_structures,
-    structure_named,
-)
+from hitchid.structures import Batch, ModelOption, ModelSpec, Structure, external_structures, structure_named
 from hitchid.uncertainty import NO_ERROR, DeadZoneError
 
 # Shares of a dead zone that is tried again with a valve curve; the first decides whether the others are.
@@ -86,18 +79,9 @@ def choose_spec(
     opening, on the dynamics, too, and with its square; the best of them stays, and the rest are tried again,
     with larger effects of those taken before.
 
-    Args:
-        batch: identification tests.
-        auto_structure: the plain form, and the covariates.
-        search: of the plain form.
-        seed: every random draw comes from it.
-        units: see `identify_benchmark`.
-        opening_known: whether the dead zone is where a ramp showed the valve to open: tests at a few levels
-            of command do not determine the flow below the lowest.
-        revised: whether the dead zone may be found anew with a valve curve; see `_with_smaller_dead_zone`.
-        dead_zone: its standard error.
-        progress: called with what is being done and the fraction that is done.
-        checkpoints: where finished results are kept and read back.
+    The opening is known where a ramp showed the valve to open: tests at a few levels of command do not
+    determine the flow below the lowest. A dead zone that is revised may be found anew with a valve curve; see
+    `_with_smaller_dead_zone`.
 
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
@@ -116,6 +100,7 @@ def choose_spec(
     candidates = choice.nested_candidates(baseline, largest, revised=revised)
     candidates = covariate_candidates(candidates, covariates, choice.with_covariate)
     chosen = best_candidate(candidates)
+    # Friction and a varying frequency come after the curves: beside wrong ones they would fit their error.
     while following := choice.next_structure(candidates[chosen]):
         candidates += following
         chosen = best_candidate(candidates)
@@ -139,11 +124,7 @@ def covariate_candidates(
     The load of a test that nobody measured hides what other options add. The first covariate is therefore
     added to the form with all options, and judged against the best. In the same way one covariate hides what
     another changes: each time one has been added, larger effects of those before it are tried again.
-
-    Args:
-        candidates: without covariates; the last has all options.
-        covariates: names of the covariates.
-        fit: returns the candidates of named specifications, which extend that of a candidate.
+    The last of those given has all options; `fit` extends a candidate by named specifications.
     """
     everything, base = list(candidates), candidates[-1]
     while True:
@@ -159,14 +140,7 @@ def covariate_candidates(
 
 @dataclass(frozen=True)
 class _Choice:
-    """Data and settings shared by all steps of one choice.
-
-    Attributes:
-        batch, coarse: identification tests, and the same at a longer sampling time.
-        folds: tests that are held out together.
-        search, seed, units, checkpoints: as for `choose_spec`.
-        parts: progress of each part of the choice.
-    """
+    """Data and settings shared by all steps of one choice; `folds` are tests that are held out together."""
 
     batch: Batch
     coarse: Batch
@@ -206,9 +180,8 @@ class _Choice:
         spec = baseline.objective.spec
         objective, free = Objective.of(self.coarse, spec), range(baseline.position.size)
         work = partial(evaluate, objective, free, baseline.position, self.folds)
-        evaluation = self.checkpoints.cached(
-            "form", Evaluation, work, evaluation_shapes(objective, self.folds)
-        )
+        shapes = evaluation_shapes(objective, self.folds)
+        evaluation = self.checkpoints.cached("form", Evaluation, work, shapes)
         candidates = [evaluation.candidate(BASELINE, spec, objective, free)]
         objective = Objective.of(self.coarse, largest)
         names = [parameter.name for parameter in largest.parameters]
@@ -308,9 +281,8 @@ class _Choice:
 
     def _report(self, part: str, candidate: Candidate, fraction: float) -> None:
         figures = {f"RMSE on levels held out / {self.units['x']}": candidate.held_out_rmse}
-        self.parts[part](
-            ProgressUpdate(f"trying the form {candidate.name}", fraction, candidate.name, figures)
-        )
+        stage = f"trying the form {candidate.name}"
+        self.parts[part](ProgressUpdate(stage, fraction, candidate.name, figures))
 
     def _with_smaller_dead_zone(
         self, objective: Objective, evaluation: Evaluation, free: Sequence[int]

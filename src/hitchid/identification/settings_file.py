@@ -68,6 +68,28 @@ class ChannelSection(Strict):
         """Names of the covariates that parameters may vary with."""
         return (self.load,) if isinstance(self.load, str) else tuple(dict.fromkeys(self.load))
 
+    def spec(self, direction: str) -> ModelSpec | AutoStructure:
+        """Return the structure, or its choice; raises InputError where a choice has keys that it decides."""
+        if self.structure == AUTOMATIC:
+            decided = self.model_fields_set - {"structure", "load", "dead_zone"}
+            if decided:
+                raise InputError(
+                    f"{direction}: structure '{AUTOMATIC}' determines "
+                    f"{' and '.join(sorted(decided))} itself; remove these keys, or name a structure"
+                )
+            return replace(DEFAULT_STRUCTURES[direction], covariate_names=self.covariate_names)
+        effects = (self.load_dynamics, self.load_quadratic)
+        return ModelSpec(
+            structure_named(self.structure),
+            self.dead_time,
+            self.bounds,
+            valve_curve=self.curve,
+            spool_dynamics=self.spool,
+            stroke_gain_linear=self.slope,
+            stroke_gain_quadratic=self.position,
+            covariates=tuple(CovariateEffects(name, *effects) for name in self.covariate_names),
+        )
+
 
 class SearchSection(Strict):
     """`[search]`."""
@@ -161,7 +183,7 @@ class IdentifyFile(Strict):
             direction: getattr(self, direction) for direction in DIRECTIONS
         }
         return {
-            "structure": {direction: _spec(direction, section) for direction, section in sections.items()},
+            "structure": {direction: section.spec(direction) for direction, section in sections.items()},
             "search": self.search.search(),
             "training": self.training.training(),
             "dead_zones": {
@@ -222,27 +244,3 @@ def stamp_of(settings: Settings) -> dict[str, object]:
         InputError: an argument does not fit.
     """
     return IdentificationConfig.of(**settings).stamp
-
-
-def _spec(direction: str, section: ChannelSection) -> ModelSpec | AutoStructure:
-    if section.structure == AUTOMATIC:
-        decided = section.model_fields_set - {"structure", "load", "dead_zone"}
-        if decided:
-            raise InputError(
-                f"{direction}: structure '{AUTOMATIC}' determines "
-                f"{' and '.join(sorted(decided))} itself; remove these keys, or name a structure"
-            )
-        return replace(DEFAULT_STRUCTURES[direction], covariate_names=section.covariate_names)
-    return ModelSpec(
-        structure_named(section.structure),
-        section.dead_time,
-        section.bounds,
-        valve_curve=section.curve,
-        spool_dynamics=section.spool,
-        stroke_gain_linear=section.slope,
-        stroke_gain_quadratic=section.position,
-        covariates=tuple(
-            CovariateEffects(name, section.load_dynamics, section.load_quadratic)
-            for name in section.covariate_names
-        ),
-    )

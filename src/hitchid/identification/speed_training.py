@@ -16,12 +16,7 @@ from hitchid.estimation.least_squares import minimise
 from hitchid.estimation.search_problem import NormalEquations
 from hitchid.identification.held_out import HeldOut
 from hitchid.model import Channel
-from hitchid.networks.speed_compensator import (
-    SIGNALS,
-    SpeedCompensator,
-    SpeedNetworks,
-    simulate_compensated,
-)
+from hitchid.networks.speed_compensator import SIGNALS, SpeedCompensator, SpeedNetworks, simulate_compensated
 from hitchid.structures import Batch
 
 # Result of the test of the compensator for free run on tests held out from its training.
@@ -70,7 +65,7 @@ class HoldoutTest:
 SAMPLES = 512  # largest number of samples of a test in training; chosen for speed
 LARGEST_WEIGHT = 8.0  # bound of a weight: a unit then switches within an eighth of its input's range; chosen
 STEPS, TOLERANCE = 40, 1e-4  # least-squares positions, relative change of the cost at which to stop; chosen
-SMALL_OUTPUT = 0.05  # spread of the initial output weights: the start is nearly the benchmark; chosen
+SMALL_OUTPUT = 0.05  # spread of the initial output weights; chosen
 
 
 @dataclass(frozen=True)
@@ -115,14 +110,6 @@ def train_speed_compensator(
     For each fold, benchmark and all networks are fitted to the other tests; the mean of these networks, which
     is what ships, gives the free runs of the fold. It is accepted where these are better than those of the
     benchmark fitted to the same tests; see `better_on_held_out_tests`.
-
-    Args:
-        channel: with the benchmark of all tests.
-        held_out: channels with the benchmark fitted without each fold.
-        batch: identification tests.
-        settings: size and ridge.
-        seed: of the initial weights.
-        checkpoints: where the weights are kept and read back.
     """
     tests = batch.command.shape[0]
     if tests < FEWEST_TESTS:
@@ -205,11 +192,15 @@ def _trained(
     initial_cost = float(jnp.sum(runs.weight * (runs.benchmark - runs.measured) ** 2))
     ridge = settings.ridge * max(initial_cost, np.finfo(float).tiny)
 
+    shape = settings.members, (runs.inputs + 2) * settings.units
+
     def work() -> Arrays:
-        starts = [_initial_weights(rng, runs.inputs, settings.units) for _ in range(settings.members)]
+        # Weights and biases of spread one, and small output weights: the start is nearly the benchmark.
+        starts = rng.standard_normal(shape)
+        starts[:, -settings.units :] *= SMALL_OUTPUT
+        starts = np.clip(starts, -LARGEST_WEIGHT, LARGEST_WEIGHT)
         return {"weights": np.stack([_fitted(compensator, runs, start, ridge) for start in starts])}
 
-    shape = settings.members, (runs.inputs + 2) * settings.units
     weights = checkpoints.cached_arrays("weights", work, {"weights": shape})["weights"]
     return replace(compensator, networks=_networks(jnp.asarray(weights), settings.units))
 
@@ -260,13 +251,6 @@ def _networks(weights: Float[Array, "m w"], units: int) -> SpeedNetworks:
         weights[:, -2 * units : -units],
         weights[:, -units:],
     )
-
-
-def _initial_weights(rng: np.random.Generator, inputs: int, units: int) -> Float[np.ndarray, " w"]:
-    """Return random weights and biases of spread one, and small output weights."""
-    weights = rng.standard_normal((inputs + 2) * units)
-    weights[-units:] *= SMALL_OUTPUT
-    return np.clip(weights, -LARGEST_WEIGHT, LARGEST_WEIGHT)
 
 
 def _untrained(channel: Channel, runs: _FreeRuns, settings: SpeedCompensatorConfig) -> SpeedCompensator:

@@ -138,9 +138,6 @@ def matrix_exponential(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
 
     Eighteen terms leave less than ½¹⁹/19! ≈ 2e-23. Fixed loops of products: a Padé approximant's linear solve
     takes a compiler longer than everything else in a benchmark.
-
-    Args:
-        matrix: M with ‖M‖₁ ≤ 2³¹, shape [n, n].
     """
     norm = jax.lax.stop_gradient(jnp.max(jnp.sum(jnp.abs(matrix), axis=0)))
     _, exponent = jnp.frexp(norm)
@@ -226,12 +223,7 @@ def _discrete_friction(
 
 @jax.jit
 def simulate_linear(model: DiscreteStateSpace, command: Float[Array, "t n"]) -> Float[Array, "t n"]:
-    """Return y of a discrete model from rest, its command zero before the first sample.
-
-    Args:
-        model: the discrete model.
-        command: u, shape [T, N].
-    """
+    """Return y of a discrete model from rest, its command zero before the first sample."""
 
     def advance(state: Float[Array, "m t"], commands: tuple[Array, Array]) -> tuple[Array, Array]:
         return model.advance(state, *commands), state[0]

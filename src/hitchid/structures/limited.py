@@ -14,11 +14,6 @@ def limited(values: Values, lowest: Values = -jnp.inf, highest: Values = jnp.inf
     `jnp.clip` returns the same, but has the mean of both derivatives where two are equal. Of a play without
     width that is not its derivative by the width; and the division is a loop of its own in each sample of a
     simulation, so that the derivatives of a model take twice the time.
-
-    Args:
-        values: x.
-        lowest: a ≤ b, in the unit of the values.
-        highest: b, likewise.
     """
     return jnp.clip(values, lowest, highest)
 

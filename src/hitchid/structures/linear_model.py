@@ -75,10 +75,7 @@ def speeds_at(
 
 
 def command_for_speed(
-    physical_model: PhysicalModel,
-    speeds: Float[Array, " q"],
-    dead_zone: Scalar,
-    displacement: Scalar,
+    physical_model: PhysicalModel, speeds: Float[Array, " q"], dead_zone: Scalar, displacement: Scalar
 ) -> Float[Array, " q"]:
     """Return the command c ≥ d₀ of each speed, the inverse of `steady_speed`; for zero the opening command.
 
@@ -350,9 +347,8 @@ def _discrete(small_signal: SmallSignal, step_s: float) -> LinearModel:
             f"most {MAX_DELAY_STATES}; choose a longer sampling time"
         )
     flows = np.stack([np.asarray(discrete.gamma0), np.asarray(discrete.gamma1)], axis=1)
-    delays = delay + bool(
-        np.any(flows[:, 1])
-    )  # states w[k−1] … w[k−m−1]; the last for a fraction of a sample
+    # States w[k−1] … w[k−m−1]; the last for a fraction of a sample.
+    delays = delay + bool(np.any(flows[:, 1]))
     size = order + delays
     a, b = np.zeros((size, size)), np.zeros(size)
     a[:order, :order] = np.asarray(discrete.transition)

@@ -130,12 +130,7 @@ class ModelSpec:
     def parameters(self) -> tuple[Parameter, ...]:
         """The parameters that are searched, in their order."""
         delay = (DEAD_TIME,) if self.dead_time else ()
-        return (
-            *self.structure.parameters,
-            *self.nonlinearity_parameters,
-            *self.covariate_parameters,
-            *delay,
-        )
+        return (*self.structure.parameters, *self.nonlinearity_parameters, *self.covariate_parameters, *delay)
 
     def physical_model(self, values: Float[Array, " q"], scales: Scales) -> PhysicalModel:
         """Return the benchmark with searched values; options that are not identified are neutral.

@@ -45,13 +45,6 @@ def simulate_nonlinear(
     """Return displacement at every sample, the command held between samples, shape [T, N].
 
     The classical method of fourth order, `substeps` steps a sample.
-
-    Args:
-        structure: supplies start and rate.
-        values: its parameters.
-        command: as logged, shape [T, N].
-        displacement: before the first sample, shape [T].
-        step_s: sampling time, s.
     """
 
     def advance(state: Array, u: Array) -> tuple[Array, Array]:

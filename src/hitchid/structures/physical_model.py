@@ -28,7 +28,7 @@ from hitchid.structures.nonlinearity import (
     StaticNonlinearity,
     effect_parameters,
 )
-from hitchid.structures.structure import DEAD_TIME, LinearStructure, Parameter, Structure
+from hitchid.structures.structure import DEAD_TIME, Parameter, Structure
 
 
 @short_repr
@@ -144,9 +144,8 @@ class PhysicalModel(eqx.Module):
         """Return the discrete models of places on the stroke, one for all where the dynamics do not vary."""
         if not self.varies_along_stroke:
             return self.discretised(step_s)
-        return _discretised_along_stroke(
-            self.structure.require_linear(), self.values, self.dead_time_s, step_s
-        )
+        structure = self.structure.require_linear()
+        return _discretised_along_stroke(structure, self.values, self.dead_time_s, step_s)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -211,29 +210,12 @@ def _travel_by_load(physical_model: PhysicalModel, batch: Batch) -> Float[Array,
     return batch.map_tests(travel, batch.load(physical_model.covariates))[:, 0]
 
 
-@eqx.filter_jit
-def _discretised(
-    structure: LinearStructure, values: Float[Array, " p"], dead_time_s: Float[Array, ""], step_s: Scalar
-) -> DiscreteStateSpace:
-    return discretise(structure, values, dead_time_s, step_s)
-
-
-@eqx.filter_jit
-def _discretised_along_stroke(
-    structure: LinearStructure, values: Float[Array, " p"], dead_time_s: Float[Array, ""], step_s: Scalar
-) -> StrokeModel:
-    return discretise_along_stroke(structure, values, dead_time_s, step_s)
+_discretised = eqx.filter_jit(discretise)
+_discretised_along_stroke = eqx.filter_jit(discretise_along_stroke)
 
 
 class _TestState(NamedTuple):
-    """State of T tests at one sample.
-
-    Attributes:
-        spool: of the valve.
-        flow: through it over the sample before, shape [T].
-        plant: of the linear model, shape [n, T].
-        travel: shape [T].
-    """
+    """State of T tests at one sample: spool, flow over the sample before, linear model, travel."""
 
     spool: PlayState
     flow: Float[Array, " t"]

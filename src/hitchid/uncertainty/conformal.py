@@ -21,11 +21,7 @@ def nonconformity_scores(
 ) -> list[np.ndarray]:
     """Return for each sample the smallest factor q at which its band contains it.
 
-    Args:
-        errors: measured minus predicted, one array of shape [N_i] for each held-out test.
-        spreads: root of the sum of squared deviations of the ensemble members, of the same shapes.
-        noise: standard deviation of the sensor's noise.
-        level: coverage of the band, share of samples.
+    The spread is the root of the sum of squared deviations of the ensemble members.
     """
     floor = (float(ndtri(0.5 + level / 2)) * noise) ** 2
     return [
@@ -51,10 +47,6 @@ def conformal_quantile(scores: Sequence[np.ndarray], level: float) -> float:
     Tests are the exchangeable units of conformal prediction (Vovk et al. 2005, Algorithmic Learning in a
     Random World, ch. 2; Dunn, Wasserman & Ramdas 2022, Distribution-free prediction sets for two-layer
     hierarchical models).
-
-    Args:
-        scores: nonconformity scores of held-out tests, one array of shape [N_i] each.
-        level: coverage, share of samples.
     """
     # Quantiles of each test at GRID: sorting costs a tenth of `np.quantile` at so many.
     rows = np.stack([_interpolate(np.sort(row), GRID * (row.size - 1)) for row in scores])
@@ -96,9 +88,6 @@ def sensor_noise(errors: Sequence[np.ndarray]) -> float:
 
     σ² = mean (Δ³e)²/20: the third difference of white noise has 1 + 9 + 9 + 1 = 20 times its variance, that
     of a smooth signal is close to zero.
-
-    Args:
-        errors: measured minus predicted, one array of shape [N_i] for each test.
     """
     deviations = [np.sqrt(np.mean(np.diff(error, 3) ** 2) / 20) for error in errors if error.size > 3]
     return float(np.median(deviations)) if deviations else 0.0
@@ -129,9 +118,7 @@ TINY = np.finfo(np.float64).tiny  # smallest variance, so that its logarithm is 
 class HeldOutErrors(NamedTuple):
     """Errors of predictions over one horizon, one array of shape [N_i] for each held-out test.
 
-    Attributes:
-        errors: measured minus predicted, in the displacement's unit.
-        movements: predicted displacement minus the last measured one, in the displacement's unit.
+    Measured minus predicted, and the movement: predicted minus the last measured displacement, in its unit.
     """
 
     errors: Sequence[np.ndarray]
@@ -144,10 +131,6 @@ def prediction_spread(held_out: Mapping[int, HeldOutErrors], noise: float) -> Pr
     The mean square of the errors over a horizon is that of the noise, in the measured displacement and in the
     one that is predicted, and g_h², which thus follows. The exponent is that of the largest likelihood of
     normal errors.
-
-    Args:
-        held_out: horizon to the errors of held-out tests.
-        noise: standard deviation of the sensor's noise, in the displacement's unit.
     """
     candidates = [_with_exponent(held_out, noise, exponent) for exponent in EXPONENTS]
     spread = max(candidates, key=lambda candidate: _log_likelihood(candidate, held_out))
@@ -178,14 +161,11 @@ def _log_likelihood(spread: PredictionSpread, held_out: Mapping[int, HeldOutErro
         variance = np.maximum(spread.noise**2 + spread.spread(horizon, movement) ** 2, TINY)
         return -0.5 * (np.log(variance) + errors**2 / variance)
 
-    return float(
-        np.mean(
-            [
-                _mean([of_test(horizon, *pair) for pair in zip(errors, movements, strict=True)])
-                for horizon, (errors, movements) in held_out.items()
-            ]
-        )
-    )
+    means = [
+        _mean([of_test(horizon, *pair) for pair in zip(errors, movements, strict=True)])
+        for horizon, (errors, movements) in held_out.items()
+    ]
+    return float(np.mean(means))
 
 
 def _mean(rows: Sequence[np.ndarray]) -> float:

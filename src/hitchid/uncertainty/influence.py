@@ -48,23 +48,20 @@ class Influence(NamedTuple):
     @classmethod
     def zeros(cls, tests: int, parameters: int) -> "Influence":
         """Return zero influence, for estimates without standard errors."""
-        no_influence = np.zeros((tests, parameters))
-        scores = Scores(np.zeros((tests, 0)), np.zeros((tests, 0, 0)))
-        free, shifted_estimates = np.zeros(parameters, bool), np.zeros((2, parameters))
-        return cls(
-            no_influence,
-            np.zeros(parameters),
-            np.ones(parameters),
-            no_influence,
-            scores,
-            free,
-            shifted_estimates,
-        )
+        none, scores = np.zeros((tests, parameters)), Scores(np.zeros((tests, 0)), np.zeros((tests, 0, 0)))
+        zeros, free, shifted = np.zeros(parameters), np.zeros(parameters, bool), np.zeros((2, parameters))
+        return cls(none, zeros, np.ones(parameters), none, scores, free, shifted)
 
     @property
     def covariance(self) -> Float[np.ndarray, "d d"]:
         """Covariance of the estimates, shape [D, D]."""
         return self.by_test.T @ self.by_test + np.outer(self.by_dead_zone, self.by_dead_zone)
+
+    @property
+    def correlation(self) -> Float[np.ndarray, "d d"]:
+        """Correlation of the estimates, shape [D, D]; zero for those without a standard error."""
+        scale = np.where(self.errors > 0, self.errors, 1.0)
+        return self.covariance / np.outer(scale, scale)
 
     @property
     def errors(self) -> Float[np.ndarray, " d"]:
@@ -85,26 +82,21 @@ class Influence(NamedTuple):
 
 
 def compute_influence(
-    objective: Objective,
-    position: np.ndarray,
-    free: np.ndarray,
-    dead_zone: DeadZoneError,
-    *,
-    seed: int,
+    objective: Objective, position: np.ndarray, free: np.ndarray, dead_zone: DeadZoneError, *, seed: int
 ) -> Influence:
     """Return the influence of each test, and of the dead zone, on the estimates.
 
-    Args:
-        objective: identification tests and model specification.
-        position: the estimates in the unit cube, shape [D].
-        free: mask of the parameters that are sensitive and not at a bound, shape [D].
-        dead_zone: standard error of the dead zone.
-        seed: of the bootstrap.
+    Positions are in the unit cube, shape [D]; free are parameters that are sensitive and not at a bound.
     """
     scores = [Scores.of(objective, position).select_parameters(free)]
-    if objective.per_test_gain:  # the gain is that of all tests pooled
+    by_test = scores[0].influence()
+    if objective.per_test_gain:
+        # The gain is that of all tests pooled: its influence follows from that of the others.
         scores.append(Scores.of(objective.pooled(), position).select_parameters(free))
-    by_test = _influence_by_test(*scores)
+        gain_curvature = scores[1].curvature[0]
+        leverage = scores[1].curvatures[:, 0, 0] / gain_curvature[0]
+        slopes = scores[1].slopes[:, 0] / np.sqrt(np.clip(1 - leverage, MIN_EIGENVALUE, 1.0))
+        by_test[:, 0] = -(slopes + by_test[:, 1:] @ gain_curvature[1:]) / gain_curvature[0]
     tests = len(by_test)
     rng = np.random.default_rng(seed)
     test_counts = rng.multinomial(tests, np.full(tests, 1 / tests), BOOTSTRAP_DRAWS)
@@ -161,17 +153,6 @@ def _refit(objective: Objective, indices: list[int], position: np.ndarray) -> np
         objective, indices, [position], REFIT_STEPS, TOLERANCE
     ).position
     return refitted_position
-
-
-def _influence_by_test(scores: Scores, gain_scores: Scores | None = None) -> np.ndarray:
-    influence = scores.influence()
-    if gain_scores is None:
-        return influence
-    gain_curvature = gain_scores.curvature[0]
-    leverage = gain_scores.curvatures[:, 0, 0] / gain_curvature[0]
-    slopes = gain_scores.slopes[:, 0] / np.sqrt(np.clip(1 - leverage, MIN_EIGENVALUE, 1.0))
-    influence[:, 0] = -(slopes + influence[:, 1:] @ gain_curvature[1:]) / gain_curvature[0]
-    return influence
 
 
 def _newton_steps(scores: Sequence[Scores], weights: np.ndarray) -> np.ndarray:
@@ -236,11 +217,6 @@ def profile_out_gain(
     """Return the derivatives of a test without the component that the test's own gain absorbs.
 
     J − ŷ (ŷᵀJ)/((1 + ρ) ŷᵀŷ), to first order for a well fitted test; see `Objective.residuals`.
-
-    Args:
-        information: of the identification tests.
-        travel: ŷ, simulated.
-        jacobian: its derivative by the parameters in the unit cube.
     """
     if not information.per_test_gain:
         return jacobian
@@ -254,10 +230,6 @@ def standard_errors_with(
 
     V' = H'⁻¹ (Σ gₜ gₜᵀ + Jᵀ C J) H'⁻¹, H' = H + Jᵀ J, with C the errors' covariance as in those tests.
     All tests have the same weight in the fit; a longer one has the smaller variance of its mean.
-
-    Args:
-        information: of the identification tests.
-        jacobian: derivative of travel by the parameters in the unit cube, shape [N, D].
     """
     samples = jacobian.shape[0]
     blocks = -(-samples // information.block_size)

@@ -47,22 +47,16 @@ def derived(
     ]
     allowed = [quantities_at(point) for profile in profiles for point in profile.positions[profile.allowed]]
     # Conservative: the smallest degrees of freedom of any free parameter; those at a bound have 1.
-    degrees = float(
-        np.min(
-            influence.degrees_of_freedom[influence.degrees_of_freedom > 1], initial=len(influence.by_test) - 1
-        )
-    )
+    inside = influence.degrees_of_freedom[influence.degrees_of_freedom > 1]
+    degrees = float(np.min(inside, initial=len(influence.by_test) - 1))
     quantities = []
     for name, (value, unit) in best.items():
         gradient = [
             (_log(above[name][0]) - _log(below[name][0])) / (2 * GRADIENT_STEP) for above, below in perturbed
         ]
         half_width = influence.half_width(np.array(gradient), degrees)
-        candidates = [
-            _log(value) - half_width,
-            _log(value) + half_width,
-            *(_log(quantity_values[name][0]) for quantity_values in allowed),
-        ]
+        in_profiles = [_log(quantity_values[name][0]) for quantity_values in allowed]
+        candidates = [_log(value) - half_width, _log(value) + half_width, *in_profiles]
         open_below, open_above = open_ends(
             profiles, lambda point, name=name: _log(quantities_at(point)[name][0])
         )
@@ -87,11 +81,9 @@ def sensitivities(objective: Objective, position: np.ndarray) -> tuple[float, ..
     values, pooled = objective.values(position), objective.pooled()
     best, changes = pooled.error(position), []
     for factors in np.eye(position.size) * RELATIVE_PERTURBATION:
-        perturbed_errors = [
-            pooled.error(objective.bounds.unclipped_position(values * (1 + sign * factors)))
-            for sign in (1, -1)
-        ]
-        changes.append(float(np.mean(np.abs(np.array(perturbed_errors) - best) / best)))
+        perturbed = [objective.bounds.unclipped_position(values * (1 + sign * factors)) for sign in (1, -1)]
+        errors = np.array([pooled.error(perturbed_position) for perturbed_position in perturbed])
+        changes.append(float(np.mean(np.abs(errors - best) / best)))
     return tuple(changes)
 
 
@@ -133,8 +125,7 @@ def assess(
         The estimates, and the influence of each test on them.
     """
     results = [ParameterResult.of(objective, position, number) for number in range(position.size)]
-    inside = np.array([not result.bound for result in results])
-    position = np.where(inside, position, np.round(position))
+    position = np.where([not result.bound for result in results], position, np.round(position))
     derivative_norms = np.sqrt(np.einsum("tdd->d", objective.equations_by_test(position).curvatures))
     results = [
         replace(result, insensitive=bool(norm < MIN_RELATIVE_DERIVATIVE * derivative_norms.max()))
@@ -153,14 +144,14 @@ def assess(
     # In parallel, for the other direction may be done before: its core would wait.
     results = list(parallel(with_interval, range(len(results))).values())
     profiles = [result.profile for result in results if result.profile is not None]
-    results = [replace(result, interval=_with_open_ends(result, profiles)) for result in results]
+    results = [result.with_open_ends(profiles) for result in results]
     results = over_parameters_at_bound(results, objective, position)
     parts["derived"](ProgressUpdate("quantities that follow from the parameters", 0.0))
     quantities = derived(objective, position, influence, profiles, units)
     estimates = Estimates(
         parameters=_estimates(results, objective, position, influence, quantities, units),
         derived=quantities,
-        correlation=_correlation(influence),
+        correlation=tuple(tuple(map(float, row)) for row in influence.correlation),
         tests=_count_tests(objective),
         rows=len(influence.by_test),
     )
@@ -218,11 +209,8 @@ def _with_interval(
         unit_vector = np.eye(position.size)[result.number]
         half_width = influence.half_width(unit_vector, float(influence.degrees_of_freedom[result.number]))
         interval = result.to_interval(coordinate - half_width, coordinate + half_width)
-        bootstrap = (
-            _bootstrap_interval(result, position, influence)
-            if len(influence.by_test) > _count_tests(objective)
-            else None
-        )
+        if len(influence.by_test) > _count_tests(objective):
+            bootstrap = _bootstrap_interval(result, position, influence)
         interval = _interval_union(interval, bootstrap)
         if result.is_narrow(interval, TIGHT_RATIO, TIGHT_SHARE):
             return replace(result, interval=interval)
@@ -253,23 +241,6 @@ def _count_tests(objective: Objective) -> int:
     return int(np.sum(np.asarray(objective.batch.loss_mask).any(axis=1)))
 
 
-def _with_open_ends(result: ParameterResult, profiles: Sequence[Profile]) -> Interval:
-    """Return the interval, open where the parameter follows another one along an open end of its profile."""
-
-    search_range = (
-        result.upper - result.lower if result.linear else float(np.log(result.upper / result.lower))
-    )
-
-    def scaled_coordinate(point: np.ndarray) -> float:
-        return search_range * float(point[result.number])
-
-    open_below, open_above = open_ends(
-        (curve for curve in profiles if curve.number != result.number), scaled_coordinate
-    )
-    lower, upper = result.interval
-    return None if open_below else lower, None if open_above else upper
-
-
 def _estimates(
     results: Sequence[ParameterResult],
     objective: Objective,
@@ -290,26 +261,18 @@ def _estimates(
     estimates = []
     for result in results:
         number, parameter = result.number, result.parameter
-        unit = parameter.unit.format(**units)
-        fallback_quantity = (
-            ""
-            if result.is_narrow(result.interval)
-            else determined_quantities.get(fallback_quantities.get(parameter.name, ""), "")
-        )
+        unit, is_free = parameter.unit.format(**units), not (result.bound or result.insensitive)
+        fallback_quantity = determined_quantities.get(fallback_quantities.get(parameter.name, ""), "")
         estimates.append(
             Estimate(
                 name=parameter.name,
                 symbol=result.symbol,
                 unit=unit,
                 value=float(values[number]),
-                error=None
-                if result.bound or result.insensitive
-                else float(slopes[number] * influence.errors[number]),
+                error=float(slopes[number] * influence.errors[number]) if is_free else None,
                 interval=result.interval,
                 method="Gauss-Newton" if result.profile is None else "profile",
-                bootstrap=None
-                if result.bound or result.insensitive
-                else _bootstrap_interval(result, position, influence),
+                bootstrap=_bootstrap_interval(result, position, influence) if is_free else None,
                 lower=result.lower,
                 upper=result.upper,
                 linear=result.linear,
@@ -321,28 +284,12 @@ def _estimates(
                     determined=result.determined,
                     bound=result.bound,
                     conditional_on=result.conditional_on,
-                    fallback_quantity=fallback_quantity,
+                    fallback_quantity="" if result.is_narrow(result.interval) else fallback_quantity,
                     step_s=objective.batch.step_s,
                     stands_for=dead_time_stands_for if parameter == DEAD_TIME else "",
                 ),
                 sensitivity=changes[number],
-                profile=_profile_points(result),
+                profile=result.profile_points,
             )
         )
     return tuple(estimates)
-
-
-def _profile_points(result: ParameterResult) -> tuple[tuple[float, float], ...]:
-    """Return the profile as pairs of value and RMSE."""
-    if result.profile is None:
-        return ()
-    coordinates = result.profile.positions[:, result.number]
-    return tuple(
-        (result.value(float(coordinate)), float(fitness))
-        for coordinate, fitness in zip(coordinates, result.profile.fitness, strict=True)
-    )
-
-
-def _correlation(influence: Influence) -> tuple[tuple[float, ...], ...]:
-    scale = np.where(influence.errors > 0, influence.errors, 1.0)
-    return tuple(tuple(map(float, row)) for row in influence.covariance / np.outer(scale, scale))

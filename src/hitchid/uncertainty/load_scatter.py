@@ -128,12 +128,9 @@ def scatter_of(contrasts: Contrasts, names: Sequence[str]) -> LoadScatter:
         )
     variances = scatter**2 * (1 - directions**2 @ precision)
     half_widths = t.ppf(0.5 + 0.5 * LEVEL, values.size) * np.sqrt(variances)
-    tests = tuple(
-        LoadOfTest(
-            name, float(value), (max(STANDSTILL, float(value - half_width)), float(value + half_width))
-        )
-        for name, value, half_width in zip(names, predictions, half_widths, strict=True)
-    )
+    lower, upper = np.maximum(predictions - half_widths, STANDSTILL), predictions + half_widths
+    rows = zip(names, predictions.tolist(), zip(lower.tolist(), upper.tolist(), strict=True), strict=True)
+    tests = tuple(LoadOfTest(*row) for row in rows)
     spread = np.sqrt(np.sum(predictions**2) / values.size)
     shrinkage = float(1 - spread / scatter) if scatter > 0 else 1.0
     return LoadScatter(scatter, _interval(contrasts), shrinkage, tests)
@@ -161,7 +158,16 @@ def errors_of_tests(objective: Objective, position: np.ndarray, free: np.ndarray
     distance = np.ptp(travel, axis=1)
     mask = np.asarray(batch.loss_mask)
     moves = (distance > MIN_TRAVEL * distance.max()) & (mask.sum(axis=1) >= FEWEST_SAMPLES)
-    return _evenly_spaced(rows, mask & moves[:, None], batch.step_s)
+    mask = mask & moves[:, None]
+    # Every m-th sample: the slow errors decide, and the likelihood takes the cube of their number.
+    stride = max(1, -(-int(mask.sum(axis=1).max()) // MAX_SAMPLES))
+    indices = [np.flatnonzero(row)[::stride] for row in mask]
+    count = max(map(len, indices))
+    columns, counted = np.zeros((len(rows), count, rows.shape[2])), np.zeros((len(rows), count), bool)
+    for test, index in enumerate(indices):
+        columns[test, : index.size] = rows[test, index]
+        counted[test, : index.size] = True
+    return FreeRunErrors(columns, counted, stride * batch.step_s)
 
 
 def contrasts_of(errors: FreeRunErrors) -> Contrasts:
@@ -182,18 +188,6 @@ def contrasts_of(errors: FreeRunErrors) -> Contrasts:
     known = eigenvalues > MIN_EIGENVALUE * loads.max()
     sensitivities = np.sqrt(eigenvalues[known])
     return Contrasts(vectors[:, known].T @ slopes / sensitivities, sensitivities, vectors[:, known])
-
-
-def _evenly_spaced(rows: np.ndarray, mask: np.ndarray, step_s: float) -> FreeRunErrors:
-    """Return every m-th of the samples of each test that count."""
-    stride = max(1, -(-int(mask.sum(axis=1).max()) // MAX_SAMPLES))
-    indices = [np.flatnonzero(row)[::stride] for row in mask]
-    count = max(map(len, indices))
-    columns, counted = np.zeros((len(rows), count, rows.shape[2])), np.zeros((len(rows), count), bool)
-    for test, index in enumerate(indices):
-        columns[test, : index.size] = rows[test, index]
-        counted[test, : index.size] = True
-    return FreeRunErrors(columns, counted, stride * step_s)
 
 
 def _error_correlation(errors: FreeRunErrors) -> np.ndarray:
@@ -223,10 +217,8 @@ def _error_correlation(errors: FreeRunErrors) -> np.ndarray:
         log_determinant = determinant + tests_determinant + float(np.linalg.slogdet(curvature)[1])
         return 0.5 * (log_determinant + degrees * np.log(variance)), variance
 
-    bounds = [
-        tuple(np.log([SHORTEST * errors.step_s, LONGEST * count * errors.step_s])),
-        tuple(np.log([SPREAD, 1 / SPREAD])),
-    ]
+    times_s = np.log([SHORTEST * errors.step_s, LONGEST * count * errors.step_s])
+    bounds = [tuple(times_s), tuple(np.log([SPREAD, 1 / SPREAD]))]
     starts = [np.log([share * count * errors.step_s, START_RATIO]) for share in STARTS]
     results = [
         minimize(lambda logarithms: profiled(logarithms)[0], start, method="L-BFGS-B", bounds=bounds)

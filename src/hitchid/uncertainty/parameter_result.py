@@ -1,6 +1,6 @@
 """Uncertainty of one parameter while it is assessed."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import pi
 
@@ -10,7 +10,7 @@ from jaxtyping import Float
 from hitchid.estimation import Objective
 from hitchid.model.estimates import MAX_INTERVAL_RATIO, Interval
 from hitchid.structures import Parameter
-from hitchid.uncertainty.profile import Profile
+from hitchid.uncertainty.profile import Profile, open_ends
 from hitchid.uncertainty.scores import Scores
 
 # Verdict on a parameter: determined or not, its interval, and the excitation that would determine it.
@@ -28,28 +28,14 @@ def verdict(
     step_s: float,
     stands_for: str = "",
 ) -> str:
-    """Return as text whether tests determine a parameter, its interval, and the excitation required.
-
-    Args:
-        parameter: of the structure.
-        unit: in the log's units.
-        interval: 95 % interval, None for an open end.
-        determined: whether the interval is closed and narrow.
-        bound: `lower` or `upper` where the estimate lies at one, else empty.
-        conditional_on: symbols of the parameters at a bound for which alone the interval holds.
-        fallback_quantity: the combination that is determined instead; empty where none is.
-        step_s: sampling time of the tests, s.
-        stands_for: what the value is in this form, where that is more than the parameter.
-    """
+    """Return as text whether tests determine a parameter, its interval, and the excitation required."""
     if determined:
         return f"determined as {stands_for}" if stands_for else "determined"
     if conditional_on:
         return f"determined only for {' and '.join(conditional_on)} at its bound"
-    phrases = [_range_text(parameter, unit, interval)]
-    hint = _excitation_hint(parameter, interval, step_s)
-    if hint and not fallback_quantity:
-        phrases.append(hint)
-    text = "; ".join(phrase for phrase in phrases if phrase)
+    # Where another quantity is determined instead, no excitation is advised.
+    hint = "" if fallback_quantity else _excitation_hint(parameter, interval, step_s)
+    text = "; ".join(filter(None, (_range_text(parameter, unit, interval), hint)))
     if fallback_quantity:
         return f"only {fallback_quantity} is determined: {text}"
     if bound and interval != (None, None):
@@ -151,6 +137,29 @@ class ParameterResult:
         return float(np.log(value / self.lower) / np.log(self.upper / self.lower))
 
     @property
+    def search_range(self) -> float:
+        """Width of the search range: upper − lower, log(upper/lower) on a logarithmic scale."""
+        return self.upper - self.lower if self.linear else float(np.log(self.upper / self.lower))
+
+    @property
+    def profile_points(self) -> tuple[tuple[float, float], ...]:
+        """Its profile as pairs of value and RMSE; empty for a Gauss-Newton interval."""
+        if self.profile is None:
+            return ()
+        points = zip(self.profile.positions[:, self.number], self.profile.fitness, strict=True)
+        return tuple((self.value(float(coordinate)), float(fitness)) for coordinate, fitness in points)
+
+    def with_open_ends(self, profiles: Iterable[Profile]) -> "ParameterResult":
+        """Return it with an end open where it follows another parameter along an open end of its profile."""
+        others = (curve for curve in profiles if curve.number != self.number)
+        open_below, open_above = open_ends(
+            others, lambda point: self.search_range * float(point[self.number])
+        )
+        lower, upper = self.interval
+        interval = None if open_below else lower, None if open_above else upper
+        return replace(self, interval=interval)
+
+    @property
     def symbol(self) -> str:
         """Symbol of the parameter, or its name."""
         return self.parameter.symbol or self.parameter.name.replace("_", " ")
@@ -243,12 +252,7 @@ def _step_without_bound(
     if not curvature > 0:
         return step
     change = -float(subset.slopes.sum(axis=0) @ tangent) / curvature
-    width = other.upper - other.lower if other.linear else float(np.log(other.upper / other.lower))
-    to_zero = (other.lower if other.linear else 1.0) / width if other.lower >= 0 else MAX_STEP
-    outward = (
-        np.clip(change, -min(MAX_STEP, to_zero), 0.0)
-        if other.bound == "lower"
-        else np.clip(change, 0.0, MAX_STEP)
-    )
-    step[columns] = outward * tangent
+    to_zero = (other.lower if other.linear else 1.0) / other.search_range if other.lower >= 0 else MAX_STEP
+    furthest = (-min(MAX_STEP, to_zero), 0.0) if other.bound == "lower" else (0.0, MAX_STEP)
+    step[columns] = np.clip(change, *furthest) * tangent
     return step

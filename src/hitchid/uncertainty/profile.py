@@ -45,9 +45,6 @@ class Profile(NamedTuple):
 
         At an open end the parameter is unbounded, and so is a quantity that changes at more than a tenth of
         its rate. Tangents are clipped at ten times its rate: faster parameters hardly affect the model.
-
-        Args:
-            quantity: function of a position, shape [D]: a value, or the logarithm of a positive one.
         """
         ends = [(0, -STEP)] * (self.lower is None) + [(-1, STEP)] * (self.upper is None)
         open_below = open_above = False
@@ -69,71 +66,61 @@ def profile(
     the estimate does (the slope vanishes far from the estimate). Errors within a test may be correlated in
     any way, and the parameter may go to infinity. This is the score test of Rao (1948, Math. Proc. Camb.
     Phil. Soc. 44, 50) with tests as the sampling units.
-
-    Args:
-        objective: identification tests and model specification.
-        position: the estimate in the unit cube, shape [D].
-        number: index of the parameter.
-        dead_zone: standard error of the dead zone; it shifts all tests together.
     """
     others = [index for index in range(position.size) if index != number]
     points: list[_ProfilePoint] = []
-    objectives = (
-        [objective]
-        if dead_zone.standard_error == 0
-        else [objective, dead_zone.shifted_by_one_sigma(objective)]
-    )
+    shifted = [dead_zone.shifted_by_one_sigma(objective)] if dead_zone.standard_error else []
+    objectives = [objective, *shifted]
     best_errors = [term.rmse_by_test(position) for term in objectives]
 
     def fit_at(coordinate: float, start: np.ndarray) -> _ProfilePoint:
         fitted_position = start.copy()
         fitted_position[number] = coordinate
         if others and coordinate != position[number]:
-            fitted_position[others] = refine_subset(
-                objective, others, [fitted_position], REFIT_STEPS, TOLERANCE
-            ).position
+            fit = refine_subset(objective, others, [fitted_position], REFIT_STEPS, TOLERANCE)
+            fitted_position[others] = fit.position
         points.append(_ProfilePoint.evaluate(objectives, fitted_position, number, dead_zone, best_errors))
         return points[-1]
-
-    def bisect(inside: float, outside: float, start: np.ndarray) -> float:
-        for _ in range(BISECTION_STEPS):
-            middle = 0.5 * (inside + outside)
-            point = fit_at(middle, start)
-            inside, outside, start = (
-                (inside, middle, point.position) if point.excess > 1 else (middle, outside, point.position)
-            )
-        return outside
 
     def interval_end(bound: float) -> float | None:
         """Return the end of the interval toward a bound; None where the bound is not rejected."""
         inside, start, width = float(position[number]), position, FIRST_STEP
-        sign = np.sign(bound - inside)
-        while inside != bound:
+        sign, outside = np.sign(bound - inside), None
+        # Ever longer steps until one is rejected, then halving; each starts where the one before ended.
+        while outside is None and inside != bound:
             coordinate = float(np.clip(inside + sign * width, 0.0, 1.0))
             point = fit_at(coordinate, start)
-            if point.excess > 1:
-                return bisect(inside, coordinate, point.position)
-            inside, start, width = coordinate, point.position, 2 * width
-        return None
+            start, width = point.position, 2 * width
+            inside, outside = (inside, coordinate) if point.excess > 1 else (coordinate, None)
+        for _ in range(BISECTION_STEPS):
+            if outside is None:
+                return None
+            middle = 0.5 * (inside + outside)
+            point = fit_at(middle, start)
+            start = point.position
+            inside, outside = (inside, middle) if point.excess > 1 else (middle, outside)
+        return outside
 
     best = replace(fit_at(float(position[number]), position), excess=0.0)
     lower, upper = interval_end(0.0), interval_end(1.0)
     if objective.spec.parameters[number].name in objective.spec.bounds:
         lower, upper = lower or 0.0, 1.0 if upper is None else upper
-    bounds = float(objective.bounds.lower[number]), float(objective.bounds.upper[number])
     ordered = sorted([best, *points[1:]], key=lambda point: float(point.position[number]))
     return Profile(
-        number=number,
-        lower=lower,
-        upper=upper,
+        number,
+        lower,
+        upper,
         positions=np.stack([point.position for point in ordered]),
         fitness=np.array([point.fitness for point in ordered]),
-        allowed=np.array(
-            [point.excess <= 1 or point.position[number] in (lower, upper) for point in ordered]
-        ),
+        allowed=np.array([p.excess <= 1 or p.position[number] in (lower, upper) for p in ordered]),
         tangents=np.stack([point.tangent for point in ordered]),
-        search_range=1.0 if bool(objective.bounds.linear[number]) else float(np.log(bounds[1] / bounds[0])),
+        search_range=_search_range(objective, number),
     )
+
+
+def _search_range(objective: Objective, number: int) -> float:
+    lower, upper = float(objective.bounds.lower[number]), float(objective.bounds.upper[number])
+    return 1.0 if bool(objective.bounds.linear[number]) else float(np.log(upper / lower))
 
 
 @dataclass(frozen=True)
@@ -170,9 +157,8 @@ class _ProfilePoint:
         ]
         excess, cost = 0.0, float(equations[0].costs.sum())
         if slopes.sum() ** 2 > MIN_RELATIVE_DECREASE * (tangent @ scores.curvature @ tangent) * cost:
-            excess = _relative_excess(
-                abs(float(slopes.mean())), slopes, shift / slopes.size, degrees, dead_zone
-            )
+            mean = abs(float(slopes.mean()))
+            excess = _relative_excess(mean, slopes, shift / slopes.size, degrees, dead_zone)
         increase, *shifted_increases = [
             fit_errors - best for fit_errors, best in zip((errors, *shifted_errors), best_errors, strict=True)
         ]

@@ -43,12 +43,7 @@ NO_ERROR = DeadZoneError()
 
 
 def welch_satterthwaite(variances: np.ndarray, degrees: np.ndarray) -> np.ndarray:
-    """Return the degrees of freedom of sums of variances, (Σ v)²/Σ v²/ν (Welch 1947, Biometrika 34, 28).
-
-    Args:
-        variances: shape [V, ...].
-        degrees: degrees of freedom of each, broadcastable to that shape.
-    """
+    """Return the degrees of freedom of sums of variances, (Σ v)²/Σ v²/ν (Welch 1947, Biometrika 34, 28)."""
     denominator = np.sum(variances**2 / degrees, axis=0)
     degrees = np.sum(variances, axis=0) ** 2 / np.maximum(denominator, np.finfo(float).tiny)
     return np.asarray(np.maximum(degrees, 1.0))
@@ -138,9 +133,6 @@ class Scores(NamedTuple):
 
         (tr Ω)²/‖Ω‖² with Ωₜₛ = |pₜ|² [t = s] − qₜᵀ H⁻¹ qₛ, qₜ = Fₜ Hₜ H⁻¹ c, |pₜ|² = cᵀ H⁻¹ Fₜ qₜ, c the
         combination (Bell & McCaffrey 2002, with white errors).
-
-        Args:
-            combinations: weights c of the parameters, shape [D, Q]; None for each parameter alone.
         """
         inverse, corrections = self._leverage_corrections()
         projections = inverse if combinations is None else inverse @ combinations

@@ -1,6 +1,6 @@
 """Speed map, delay and response time of a fitted model, with 95 % intervals."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -73,12 +73,7 @@ def measured_speeds(
 
     A stretch begins three response times after the last change of its command, lies in the middle half of
     the displacement range and has at least five samples.
-
-    Args:
-        batch: identification tests.
-        opening: command at which flow begins.
-        response_time: of the speed, s.
-        load: the covariate that the speed map is for, of each test; None without one.
+    The response time is in s, the load that of the speed map, of each test.
     """
     loss_mask, displacement = np.asarray(batch.loss_mask), np.asarray(batch.displacement)
     logged = np.abs(np.asarray(batch.raw_command))
@@ -100,9 +95,8 @@ def measured_speeds(
                 or np.ptp(logged[row, steady_samples]) > 2 * LEVEL_TOLERANCE * command
             ):
                 continue
-            speed = np.polyfit(
-                batch.step_s * (steady_samples - steady_samples[0]), travel[row, steady_samples], 1
-            )[0]
+            time_s = batch.step_s * (steady_samples - steady_samples[0])
+            speed = np.polyfit(time_s, travel[row, steady_samples], 1)[0]
             sized_speeds.append((steady_samples.size, MeasuredSpeed(command, test_load, float(speed))))
     longest = sorted(sized_speeds, key=lambda entry: -entry[0])[:MAX_STRETCHES]
     return tuple(sorted((speed for _, speed in longest), key=lambda entry: entry.command))
@@ -111,7 +105,9 @@ def measured_speeds(
 GRADIENT_STEP, TINY = 1e-3, 1e-300  # of differences, in the unit cube, chosen; smallest speed divided by
 INSTANT_S = 1e-6  # response time, s, below which a model has neither lag nor dead time; chosen
 BATCH_SIZE = 64  # positions evaluated at once, padded so that one compiled function serves all; chosen
-OPENING_RESOLUTION = 0.05  # of the largest command: width of an interval that counts as determined; chosen
+# Widths of an interval that count as determined: of delay and response time over the sampling time, and of
+# the opening over the largest command; chosen.
+RESOLUTIONS = np.array([TIME_RESOLUTION_SAMPLES, TIME_RESOLUTION_SAMPLES, 0.05])
 
 
 class _Points(NamedTuple):
@@ -135,11 +131,7 @@ def characteristics(
 ) -> Characteristics | None:
     """Return speed map, dead zone, delay and response time of a fitted model, each with its 95 % interval.
 
-    The interval of a quantity q is q ± t √(Σₜ (∇q·δₜ)² + δ₀²), with δₜ the influence of test t on the
-    estimates, δ₀ the change of q per standard error of the dead zone, parameters refitted, and t Student's
-    quantile at the degrees of freedom of that sum. It is widened to the range over the allowed points of the
-    profiles whose RMSE is close to the best, and open above where q rises with a parameter beyond an open end
-    of its profile. The lower end is at least zero.
+    How an interval follows from the influence of the tests: see `_intervals`.
 
     Args:
         objective: identification tests and model specification.
@@ -157,40 +149,21 @@ def characteristics(
         return None
     physical_model = model_spec.physical_model(jnp.asarray(objective.values(position)), objective.scales)
     opening = float(opening_command(physical_model, dead_zone.value))
-    load_name = _largest_effect(physical_model)
-    test_loads = None if load_name is None else np.asarray(batch.load([load_name]))[:, 0]
-    loads = np.zeros(1) if test_loads is None else operating_loads(test_loads)
-    mean_load = np.asarray(physical_model.mean_load)
     levels = operating_levels(batch, opening)
     if not levels.size:
         return None
-    level = float(levels[levels.size // 2])
-    commands, grid_loads = (grid.ravel() for grid in np.meshgrid(levels, loads, indexing="ij"))
-    load_rows = np.tile(mean_load, (grid_loads.size, 1))
-    if load_name is not None:
-        load_rows[:, physical_model.covariates.index(load_name)] = grid_loads
+    load_name, test_loads = _varied_load(physical_model, batch)
+    commands, loads, load_rows = _speed_map_grid(physical_model, levels, load_name, test_loads)
+    level, mean_load = float(levels[levels.size // 2]), np.asarray(physical_model.mean_load)
     points = _Points(*map(jnp.asarray, (commands, load_rows, level, mean_load, dead_zone.value)))
     values = _evaluate(objective, position[None], points)[0]
     scales = np.concatenate([np.maximum(values[:-3], TINY), [batch.step_s, batch.step_s, largest]])
     intervals = _intervals(objective, position, influence, points, dead_zone_error, scales)
     fastest = float(values[:-3].max())
-    speeds = [
-        SpeedPoint.of(
-            float(command), None if load_name is None else float(load), float(speed), interval, fastest
-        )
-        for command, load, speed, interval in zip(
-            commands, grid_loads, values[:-3], intervals[:-3], strict=True
-        )
-    ]
-    labels = [
-        ("delay", "s", TIME_RESOLUTION_SAMPLES * batch.step_s),
-        ("response time", "s", TIME_RESOLUTION_SAMPLES * batch.step_s),
-        ("opening", units["u"], OPENING_RESOLUTION * largest),
-    ]
-    delay, response_time, opening_quantity = (
-        make_quantity(name, unit, float(value), interval, resolution)
-        for (name, unit, resolution), value, interval in zip(labels, values[-3:], intervals[-3:], strict=True)
-    )
+    speeds = zip(commands.tolist(), loads, values[:-3].tolist(), intervals[:-3], strict=True)
+    names, resolutions = ("delay", "response time", "opening"), (RESOLUTIONS * scales[-3:]).tolist()
+    times = zip(names, ("s", "s", units["u"]), values[-3:].tolist(), intervals[-3:], resolutions, strict=True)
+    delay, response_time, opening_quantity = (make_quantity(*row) for row in times)
     has_lag = response_time.value > INSTANT_S
     return Characteristics(
         command_unit=units["u"],
@@ -201,17 +174,31 @@ def characteristics(
         level=level,
         delay=delay if has_lag else None,
         response_time=response_time if has_lag else None,
-        speed_map=tuple(speeds),
+        speed_map=tuple(SpeedPoint.of(*row, fastest) for row in speeds),
         measured=measured_speeds(batch, opening, response_time.value, test_loads),
     )
 
 
-def _largest_effect(physical_model: PhysicalModel) -> str | None:
-    """Return the covariate with the largest effect on the speed; None without covariates."""
+def _varied_load(physical_model: PhysicalModel, batch: Batch) -> tuple[str | None, np.ndarray | None]:
+    """Return the covariate with the largest effect on the speed and its value in each test; None without."""
     if physical_model.scheduling is None:
-        return None
+        return None, None
     sizes = np.abs(np.asarray(physical_model.scheduling.effects)[0]).sum(axis=1)
-    return physical_model.covariates[int(np.argmax(sizes))]
+    name = physical_model.covariates[int(np.argmax(sizes))]
+    return name, np.asarray(batch.load([name]))[:, 0]
+
+
+def _speed_map_grid(
+    physical_model: PhysicalModel, levels: np.ndarray, load_name: str | None, test_loads: np.ndarray | None
+) -> tuple[np.ndarray, Sequence[float | None], np.ndarray]:
+    """Return command, load and all covariates of each point, levels by loads; the others have their mean."""
+    loads = np.zeros(1) if test_loads is None else operating_loads(test_loads)
+    commands, grid_loads = (grid.ravel() for grid in np.meshgrid(levels, loads, indexing="ij"))
+    load_rows = np.tile(np.asarray(physical_model.mean_load), (grid_loads.size, 1))
+    if load_name is None:
+        return commands, [None] * commands.size, load_rows
+    load_rows[:, physical_model.covariates.index(load_name)] = grid_loads
+    return commands, grid_loads.tolist(), load_rows
 
 
 def _intervals(
@@ -222,15 +209,29 @@ def _intervals(
     dead_zone_error: DeadZoneError,
     scales: np.ndarray,
 ) -> list[Interval]:
-    """Return the 95 % interval of each quantity; `scales` are the quantities' reference values, shape [Q]."""
+    """Return the 95 % interval of each quantity; `scales` are the quantities' reference values, shape [Q].
+
+    The interval of a quantity q is q ± t √(Σₜ (∇q·δₜ)² + δ₀²), with δₜ the influence of test t on the
+    estimates, δ₀ the change of q per standard error of the dead zone, parameters refitted, and t Student's
+    quantile at the degrees of freedom of that sum. It is widened to the range over the allowed points of the
+    profiles whose RMSE is close to the best, and open above where q rises with a parameter beyond an open end
+    of its profile. The lower end is at least zero.
+    """
 
     def scaled_quantities(positions: np.ndarray, points: _Points = points) -> np.ndarray:
         return _evaluate(objective, positions, points) / scales
 
     best = scaled_quantities(position[None])[0]
     gradient = _gradient(scaled_quantities, position)
-    dead_zone_effect = _dead_zone_effect(influence, dead_zone_error, scaled_quantities, points)
-    half_widths = _half_widths(influence, gradient, dead_zone_effect, dead_zone_error)
+    above, below = (
+        scaled_quantities(estimate[None], points._replace(dead_zone=points.dead_zone + shift))[0]
+        for estimate, shift in zip(
+            influence.shifted_estimates,
+            (dead_zone_error.standard_error, -dead_zone_error.standard_error),
+            strict=True,
+        )
+    )
+    half_widths = _half_widths(influence, gradient, 0.5 * (above - below), dead_zone_error)
     lower, upper = best - half_widths, best + half_widths
     # Largest ratio of an RMSE to the best, √(1 + t²/(T − D)): with few tests the test of a profile has little
     # power far from the estimate, and this limits its range.
@@ -280,24 +281,6 @@ def _half_widths(
     )
     widths = np.array([t_quantile(float(degree)) for degree in degrees]) * np.sqrt(variances.sum(axis=0))
     return np.where(finite, widths, np.inf)
-
-
-def _dead_zone_effect(
-    influence: Influence,
-    dead_zone_error: DeadZoneError,
-    quantities: Callable[..., np.ndarray],
-    points: _Points,
-) -> Float[np.ndarray, " q"]:
-    """Return the change of each quantity per standard error of the dead zone, parameters refitted."""
-    above, below = (
-        quantities(position[None], points._replace(dead_zone=points.dead_zone + shift))[0]
-        for position, shift in zip(
-            influence.shifted_estimates,
-            (dead_zone_error.standard_error, -dead_zone_error.standard_error),
-            strict=True,
-        )
-    )
-    return 0.5 * (above - below)
 
 
 def _open_ends(

@@ -108,6 +108,12 @@ class _FigureKind(NamedTuple):
     def allowed_range(self, limit: float) -> "_AllowedRange":
         return _AllowedRange(minimum=limit) if self.at_least else _AllowedRange(maximum=limit)
 
+    def severity(self, figure: float | None) -> float:
+        """Return what grows with the error; infinite where a run diverged."""
+        if not _finite(figure):
+            return inf
+        return -figure if self.at_least else figure
+
     def format(self, number: str) -> str:
         symbol = {"percent": "%", "1": ""}.get(self.unit, self.unit)
         return f"{number} {symbol}".rstrip()
@@ -165,8 +171,15 @@ def _direction_checks(
         at_least = _AllowedRange(minimum=float(direction_limits.tests))
         yield _check(section, "unseen tests", float(section.tests), _FigureKind("", "1"), at_least)
     for run, label in RUNS.items():
-        yield from _run_checks(section, run, label, direction_limits.run(run), error)
-    yield from _worst_checks(section, direction_limits.worst_test, error)
+        figures = section.run(run)
+        for key, kind, limit in _given_limits(direction_limits.run(run), error):
+            figure = f"missing: no {label}" if figures is None else figures.value(key)
+            yield _check(section, f"{label}, {kind.title}", figure, kind, kind.allowed_range(limit))
+    for key, kind, limit in _given_limits(direction_limits.worst_test, error):
+        by_test = {test: figures.value(key) for test, figures in section.per_test.items()}
+        worst = max(by_test, key=lambda test: kind.severity(by_test[test]), default="")
+        figure, allowed = by_test.get(worst, NO_TEST), kind.allowed_range(limit)
+        yield _check(section, f"worst test, {kind.title}", figure, kind, allowed, f" in {worst}")
     for steps, limit in (direction_limits.horizon or {}).items():
         name = f"{steps} sample{'s' if steps > 1 else ''} ahead, RMSE"
         longest = max(section.horizon, default=0)
@@ -182,9 +195,9 @@ def _direction_checks(
         yield from _baseline_checks(section, baseline, error)
 
 
-def _kinds(error: _FigureKind) -> dict[str, _FigureKind]:
-    """Return name, unit and factor of each figure; `error` has the unit of errors."""
-    return {
+def _given_limits(limits: FigureLimits | None, error: _FigureKind) -> list[tuple[str, _FigureKind, float]]:
+    """Return key, kind and limit of each figure that has one; `error` has the unit of errors."""
+    kinds = {
         "rmse": error,
         "mae": error._replace(title="MAE"),
         "max_abs": error._replace(title="max abs"),
@@ -193,41 +206,8 @@ def _kinds(error: _FigureKind) -> dict[str, _FigureKind]:
         # `check_convertible` rejects this limit if the unit of the limits is not that of the logs.
         "within_1": _FigureKind(error.format("within 1"), "percent", Fraction(100), at_least=True),
     }
-
-
-def _given_limits(limits: FigureLimits | None) -> dict[str, float]:
-    return {} if limits is None else {key: limit for key, limit in limits if limit is not None}
-
-
-def _run_checks(
-    section: _DirectionFigures, run: str, label: str, limits: FigureLimits | None, error: _FigureKind
-) -> Iterator[Check]:
-    kinds = _kinds(error)
-    for key, limit in _given_limits(limits).items():
-        figures = section.run(run)
-        figure = f"missing: no {label}" if figures is None else figures.value(key)
-        kind = kinds[key]
-        yield _check(section, f"{label}, {kind.title}", figure, kind, kind.allowed_range(limit))
-
-
-def _worst_checks(
-    section: _DirectionFigures, limits: FigureLimits | None, error: _FigureKind
-) -> Iterator[Check]:
-    kinds = _kinds(error)
-    for key, limit in _given_limits(limits).items():
-        kind = kinds[key]
-        figures_by_test = {test: figures.value(key) for test, figures in section.per_test.items()}
-        worst = max(figures_by_test, key=lambda test: _severity(figures_by_test[test], kind), default="")
-        figure = figures_by_test.get(worst, NO_TEST)
-        yield _check(
-            section, f"worst test, {kind.title}", figure, kind, kind.allowed_range(limit), f" in {worst}"
-        )
-
-
-def _severity(figure: float | None, kind: _FigureKind) -> float:
-    if not _finite(figure):
-        return inf
-    return -figure if kind.at_least else figure
+    given = () if limits is None else limits
+    return [(key, kinds[key], limit) for key, limit in given if limit is not None]
 
 
 def _baseline_checks(section: _DirectionFigures, baseline: str, error: _FigureKind) -> Iterator[Check]:
@@ -273,13 +253,7 @@ def _check(
 ) -> Check:
     """Compare one figure with its limits.
 
-    Args:
-        section: of the direction.
-        name: of the figure.
-        figure: its value; None where it diverged, text where it is missing.
-        kind: name, unit and factor of the figure.
-        allowed: the limits, in the unit of `kind`.
-        location: appended to the figure: the test it comes from.
+    The figure is None where it diverged, text where it is missing; its limits are in the unit of its kind.
     """
     passed = False
     if isinstance(figure, str):

@@ -49,13 +49,8 @@ def band_figures(
 ) -> BandFigures:
     """Return the share of unseen samples inside the bands, each test weighing the same, and their width.
 
-    Args:
-        bands: of the channel.
-        batch: tests.
-        simulated, half_width: the free run and the half width of its band, shape [T, N].
-        multi_step: predictions over horizons, H arrays of shape [T, N].
-        steps: the horizons.
-        factor: from the model's unit of displacement to that of the figures.
+    Free run and half width have shape [T, N], predictions shape [T, N] for each horizon; the factor leads to
+    the unit of the figures.
     """
     loss_mask, measured = np.asarray(batch.loss_mask), np.asarray(batch.displacement)
     horizon_masks = [loss_mask & (np.arange(loss_mask.shape[1]) >= step) for step in steps]
@@ -86,12 +81,7 @@ def band_figures(
 
 
 def cycle_band_figures(bands: Sequence[Band], actual: Sequence[np.ndarray]) -> BandFigures:
-    """Return the share of samples of unseen cycles inside bands around the free run, and their width.
-
-    Args:
-        bands: around the free run of each cycle.
-        actual: measured displacement, of the same shapes.
-    """
+    """Return the share of samples of unseen cycles inside bands around the free run, and their width."""
     pairs = list(zip(bands, actual, strict=True))
     covered, error = _mean_share(
         np.array([np.mean((lower <= y) & (y <= upper)) for (lower, upper), y in pairs])
@@ -115,13 +105,8 @@ def _mean_share(shares: np.ndarray) -> tuple[float, float | None]:
 class _ModelRuns(NamedTuple):
     """Predictions of a channel and its baselines, in the model's unit, rows of shape [T, N].
 
-    Attributes:
-        batch: the tests.
-        steps: horizons, in samples.
-        benchmark, free_run: free runs of the benchmark and of the grey box.
-        multi_step: model to its predictions, one entry per horizon; models without a predictor simulate from
-            the last measured displacement.
-        baselines: the baselines, by name.
+    `multi_step` has one entry per horizon, in samples; models without a predictor simulate from the last
+    measured displacement.
     """
 
     batch: Batch
@@ -133,20 +118,11 @@ class _ModelRuns(NamedTuple):
 
 
 def channel_result(
-    channel: Channel,
-    tests: Sequence[Record],
-    factor: float,
-    uncertainty: Uncertainty | None,
-    rivals: Rivals,
+    channel: Channel, tests: Sequence[Record], factor: float, uncertainty: Uncertainty | None, rivals: Rivals
 ) -> ChannelResult:
     """Return the results of a channel on unseen tests.
 
-    Args:
-        channel: of the model.
-        tests: on the model's clock and in its units.
-        factor: from the model's unit of displacement to that of the figures.
-        uncertainty: estimates and bands of the channel; None if the model has none.
-        rivals: models fitted to the same tests.
+    Tests are on the model's clock and in its units; the factor leads to the unit of the figures.
     """
     runs = _run(channel, rivals, tests)
     half_width = _half_width(channel, runs, uncertainty)
@@ -184,6 +160,7 @@ def _run(channel: Channel, rivals: Rivals, tests: Sequence[Record]) -> _ModelRun
     def restarted(simulated: np.ndarray) -> list[np.ndarray]:
         return [delayed(measured, h) + simulated - delayed(simulated, h) for h in steps]
 
+    # What only simulates is carried on from the last measured displacement, so that all have every horizon.
     baselines = _baseline_runs(channel, rivals, tests, steps)
     multi_step = {
         PERSISTENCE: Persistence().predict(batch, steps),

@@ -264,6 +264,7 @@ def compare(
             "every test was used to identify at least one of the models; expected at least "
             "one test that none of them used"
         )
+    # The same tests for all, cut in the same places: errors are compared sample by sample.
     usable, lacking = usable_tests(unseen, *models)
     report, width = progress or silent, 1.0 / len(models)
     segmentation_dead_zones = models[0].segmentation_dead_zones(campaign.units)

@@ -30,10 +30,7 @@ ORIGIN_STRIDE = 5  # samples between prediction origins; chosen for speed
 def cycle_result(model: Hitch, cycles: Sequence[Record], factor: float) -> CycleResult:
     """Return a model's results on unseen cycles.
 
-    Args:
-        model: with two channels.
-        cycles: mixed logs on the model's clock and in its units, at least one.
-        factor: from the model's unit of displacement to that of the figures.
+    Cycles are on the model's clock and in its units; the factor leads to the unit of the figures.
     """
     simulations = [model.simulate(record) for record in cycles]
     predictions = _predictions(model, cycles, simulations, factor)
@@ -71,12 +68,18 @@ def cycle_result(model: Hitch, cycles: Sequence[Record], factor: float) -> Cycle
 def _predictions(
     model: Hitch, cycles: Sequence[Record], simulations: Sequence[Simulation], factor: float
 ) -> Predictions:
-    paper_model = _paper_model(model)
     runs = {
         BENCHMARK: [model.simulate(record, compensated=False).displacement for record in cycles],
         FREE_RUN: [simulation.displacement for simulation in simulations],
     }
-    if paper_model is not None:
+    # The transfer functions of Sun et al. 2025 make one hitch, too, where both directions have theirs.
+    paper = {
+        direction: replace(channel, compensator=None, speed_compensator=None)
+        for direction, own in model.channels.items()
+        if (channel := paper_channel(own, model.rivals.get(direction, Rivals()))) is not None
+    }
+    if len(paper) == len(model.channels):
+        paper_model = replace(model, channels=paper)
         runs["transfer_function"] = [paper_model.simulate(record).displacement for record in cycles]
     return Predictions(
         names=tuple(record.name for record in cycles),
@@ -93,20 +96,6 @@ def _bands(simulations: Sequence[Simulation], factor: float) -> list[Band] | Non
     if not all(np.all(np.isfinite(ends)) for band in bands for ends in band):
         return None
     return [Band(factor * lower, factor * upper) for lower, upper in bands]
-
-
-def _paper_model(model: Hitch) -> Hitch | None:
-    """Return the transfer functions of Sun et al. 2025 as one hitch model; None if they were not fitted."""
-    paper_channels = {
-        direction: paper_channel(channel, model.rivals.get(direction, Rivals()))
-        for direction, channel in model.channels.items()
-    }
-    uncompensated = {
-        direction: replace(channel, compensator=None, speed_compensator=None)
-        for direction, channel in paper_channels.items()
-        if channel is not None
-    }
-    return replace(model, channels=uncompensated) if len(uncompensated) == len(model.channels) else None
 
 
 def _largest_jump(run: FreeRun) -> float:

@@ -163,12 +163,6 @@ def section_rows(
 
     The best model is compared with every other by `better_p_value`. It is chosen from the same tests, so the
     p-values are adjusted for all pairs of models, not only for those with the best one (Holm 1979).
-
-    Args:
-        section: a direction or `cycles`.
-        names: label to name of each model.
-        results: of each model, in the same order.
-        free_runs: the tests with the free run of each model under its label.
     """
     ordered = sorted(zip(names, results, strict=True), key=lambda item: _sort_key(item[1]))
     pairs = list(combinations([label for label, _ in ordered], 2))
@@ -183,6 +177,7 @@ def section_rows(
             standing = Standing.WORSE if p_value < SIGNIFICANCE else Standing.SIMILAR
             standing = Standing.UNTESTED if len(accuracy.tests) < MIN_TESTS else standing
         horizons = accuracy.horizons
+        errors = zip(horizons.rmse[GREYBOX], horizons.rmse_error[GREYBOX], strict=True)
         return LeaderboardRow(
             section=section,
             label=label,
@@ -191,13 +186,7 @@ def section_rows(
             tests=len(accuracy.tests),
             free_run=accuracy.free_run(),
             one_step=accuracy.models[GREYBOX].one_step,
-            horizons=dict(
-                zip(
-                    horizons.steps,
-                    zip(horizons.rmse[GREYBOX], horizons.rmse_error[GREYBOX], strict=True),
-                    strict=True,
-                )
-            ),
+            horizons=dict(zip(horizons.steps, errors, strict=True)),
             standing=standing,
             p_value=p_value,
         )

@@ -76,13 +76,6 @@ def draw_fit(
     """Draw measured on top of predicted displacement with the band of the free run, and the errors.
 
     Several tests follow each other without their first sample, which is the initial value.
-
-    Args:
-        displacement_axes, error_axes: to draw into.
-        tests: few, since they share one axis.
-        unit: of the displacement.
-        models: keys of the predictions to draw.
-        thin: whether curves are decimated.
     """
     joined = concatenate_tests if len(tests.names) > 1 else itemgetter(0)
     time_s, measured = concatenated_time(tests), joined(tests.actual)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc, ndtr, ndtri
@@ -116,14 +117,8 @@ def residual_tests(
     autocorrelation is r_k = Σ e(t) e(t − k) / N_k, the cross-correlation the same with u(t − k). Negative
     autocorrelation makes no test stricter than for white errors. Constant errors or commands have
     correlations of 0 and p-values of 1.
-
-    Args:
-        errors: measured minus predicted displacement, one array of shape [N_i] for each test.
-        commands: effective command, of the same shapes; any unit.
-        displacements: of the same shapes, in the errors' unit.
-        speeds: the model's, of the same shapes, in the errors' unit per s.
-        step_s: sampling time, s.
-        lags: largest lag; where the tests are short, the largest with N_k at least N/2.
+    Arrays have shape [N_i] for each test; commands are effective, in any unit, speeds the model's per s. Lags
+    go so far that N_k is at least N/2.
 
     Raises:
         InputError: shapes differ, a value is not finite, there are fewer than 8 samples, or the sampling
@@ -132,58 +127,99 @@ def residual_tests(
     series = {"errors": errors, "commands": commands, "displacements": displacements, "speeds": speeds}
     tests = _check_series(series, step_s, lags)
     size = np.array([test.size for test in tests["errors"]])
-    count = int(size.sum())
     pairs = np.maximum(size[:, None] - np.arange(size.max()), 0).sum(axis=0)
-    max_lag = min(lags, int(np.sum(pairs >= count / 2)) - 1)
-
+    max_lag = min(lags, int(np.sum(pairs >= int(size.sum()) / 2)) - 1)
     error, mean, deviation = _standardised(tests["errors"])
     command, _, _ = _standardised(tests["commands"])
-    error_autocorrelation, command_autocorrelation = (
-        _products(signal, signal)[size.max() - 1 :] / pairs for signal in (error, command)
-    )
-
-    # Q = (N + 2)/N Σ_k N_k r_k² ~ χ²_h, for one test N (N + 2) Σ_k ρ̂_k² / (N − k), ρ̂_k = r_k (N − k)/N
-    # (Ljung & Box 1978, Biometrika 65, 297).
-    auto = error_autocorrelation[1 : max_lag + 1]
-    whiteness = float((count + 2) / count * np.sum(pairs[1 : max_lag + 1] * auto**2))
-    whiteness_p = float(chdtrc(max_lag, whiteness)) if max_lag else 1.0
-
+    of_errors, of_command = (_products(row, row)[size.max() - 1 :] / pairs for row in (error, command))
     lag = np.arange(-max_lag, max_lag + 1)
     cross = _products(error, command)[size.max() - 1 + lag] / pairs[np.abs(lag)]
-    spread = _cross_deviation(error_autocorrelation, command_autocorrelation, pairs, max_lag)[np.abs(lag)]
-    independence_p = min(1.0, float(lag.size * 2 * ndtr(-np.max(np.abs(cross) / spread))))
-
     pooled = np.concatenate(error)
-    skewness = float(np.mean(pooled**3))
-    kurtosis = float(np.mean(pooled**4)) - 3.0 if deviation else 0.0
-    normality_p = _normality_p(skewness, kurtosis, error_autocorrelation, pairs)
-
     flat = {name: np.concatenate(arrays) for name, arrays in tests.items()}
     return ResidualTests(
         step_s=float(step_s),
-        count=count,
+        count=int(size.sum()),
         mean=mean,
         deviation=deviation,
-        whiteness=whiteness,
-        freedom=max_lag,
-        whiteness_p=whiteness_p,
-        white=whiteness_p >= LEVEL,
-        autocorrelation=tuple(auto.tolist()),
-        autocorrelation_bounds=tuple((BOUND / np.sqrt(pairs[1 : max_lag + 1])).tolist()),
-        cross_lags=tuple(lag.tolist()),
-        cross_correlation=tuple(cross.tolist()),
-        cross_bounds=tuple((BOUND * spread).tolist()),
-        lags_outside=tuple(lag[np.abs(cross) > BOUND * spread].tolist()),
-        independence_p=independence_p,
-        independent=independence_p >= LEVEL,
-        skewness=skewness,
-        excess_kurtosis=kurtosis,
-        normality_p=normality_p,
-        normal=normality_p >= LEVEL,
+        **_whiteness(of_errors, pairs, max_lag),
+        **_independence(cross, lag, of_errors, of_command, pairs),
+        **_normality(pooled, of_errors, pairs, is_constant=not deviation),
         by_position=_binned(flat["errors"], pooled, flat["displacements"]),
         by_speed=_binned(flat["errors"], pooled, flat["speeds"]),
         by_command=_binned(flat["errors"], pooled, flat["commands"]),
     )
+
+
+def _whiteness(autocorrelation: np.ndarray, pairs: np.ndarray, max_lag: int) -> dict[str, Any]:
+    """Return the fields of Ljung and Box's test.
+
+    Q = (N + 2)/N Σ_k N_k r_k² ~ χ²_h, for one test N (N + 2) Σ_k ρ̂_k² / (N − k), ρ̂_k = r_k (N − k)/N
+    (Ljung & Box 1978, Biometrika 65, 297).
+    """
+    count = int(pairs[0])
+    auto = autocorrelation[1 : max_lag + 1]
+    whiteness = float((count + 2) / count * np.sum(pairs[1 : max_lag + 1] * auto**2))
+    whiteness_p = float(chdtrc(max_lag, whiteness)) if max_lag else 1.0
+    return {
+        "whiteness": whiteness,
+        "freedom": max_lag,
+        "whiteness_p": whiteness_p,
+        "white": whiteness_p >= LEVEL,
+        "autocorrelation": tuple(auto.tolist()),
+        "autocorrelation_bounds": tuple((BOUND / np.sqrt(pairs[1 : max_lag + 1])).tolist()),
+    }
+
+
+def _independence(
+    cross: np.ndarray,
+    lag: np.ndarray,
+    error_autocorrelation: np.ndarray,
+    command_autocorrelation: np.ndarray,
+    pairs: np.ndarray,
+) -> dict[str, Any]:
+    """Return the fields of the cross-correlation at lags −h..h, held against that of independent signals.
+
+    At lag k its variance is Σ_j N_{|k|+|j|} w_j r_e(j) r_u(j) / N_k², or 1/N_k where that is more (Bartlett
+    1946, J. R. Stat. Soc. Suppl. 8, 27); see `_taper` for w_j.
+    """
+    product = _taper(error_autocorrelation, pairs) * error_autocorrelation * command_autocorrelation
+    product[1:] *= 2.0
+    lag_pairs = pairs[: lag[-1] + 1]
+    total = [np.sum(pairs[k:] * product[: pairs.size - k]) for k in range(lag_pairs.size)]
+    spread = (np.sqrt(np.maximum(np.array(total), lag_pairs)) / lag_pairs)[np.abs(lag)]
+    independence_p = min(1.0, float(lag.size * 2 * ndtr(-np.max(np.abs(cross) / spread))))
+    return {
+        "cross_lags": tuple(lag.tolist()),
+        "cross_correlation": tuple(cross.tolist()),
+        "cross_bounds": tuple((BOUND * spread).tolist()),
+        "lags_outside": tuple(lag[np.abs(cross) > BOUND * spread].tolist()),
+        "independence_p": independence_p,
+        "independent": independence_p >= LEVEL,
+    }
+
+
+def _normality(
+    pooled: np.ndarray, error_autocorrelation: np.ndarray, pairs: np.ndarray, *, is_constant: bool
+) -> dict[str, Any]:
+    """Return the fields of Jarque and Bera's test for autocorrelated errors.
+
+    N s² / (6 F₃) + N κ² / (24 F₄) ~ χ²_2 for skewness s and excess kurtosis κ, F_p = Σ_j N_j/N r_e(j)^p over
+    all lags of either sign, F₃ at least 1 (Lobato & Velasco 2004, Econometric Theory 20, 671).
+    """
+    skewness = float(np.mean(pooled**3))
+    kurtosis = 0.0 if is_constant else float(np.mean(pooled**4)) - 3.0
+    count = int(pairs[0])
+    third, fourth = (
+        1.0 + 2.0 * float(np.sum(pairs[1:] / count * error_autocorrelation[1:] ** p)) for p in (3, 4)
+    )
+    statistic = count * (skewness**2 / (6 * max(third, 1.0)) + kurtosis**2 / (24 * fourth))
+    p_value = float(chdtrc(2, statistic))
+    return {
+        "skewness": skewness,
+        "excess_kurtosis": kurtosis,
+        "normality_p": p_value,
+        "normal": p_value >= LEVEL,
+    }
 
 
 def _check_series(
@@ -232,37 +268,6 @@ def _products(first_signals: Sequence[np.ndarray], second_signals: Sequence[np.n
     for first, second in zip(first_signals, second_signals, strict=True):
         total[longest - first.size : longest + first.size - 1] += correlate(first, second)
     return total
-
-
-def _cross_deviation(
-    error_autocorrelation: np.ndarray, command_autocorrelation: np.ndarray, pairs: np.ndarray, lags: int
-) -> np.ndarray:
-    """Return the standard deviation of the cross-correlation of independent signals at lags 0..lags.
-
-    At lag k its square is Σ_j N_{|k|+|j|} w_j r_e(j) r_u(j) / N_k², or 1/N_k where that is more (Bartlett
-    1946, J. R. Stat. Soc. Suppl. 8, 27); see `_taper` for w_j.
-    """
-    product = _taper(error_autocorrelation, pairs) * error_autocorrelation * command_autocorrelation
-    product[1:] *= 2.0
-    total = [np.sum(pairs[lag:] * product[: pairs.size - lag]) for lag in range(lags + 1)]
-    lag_pairs = pairs[: lags + 1]
-    return np.sqrt(np.maximum(np.array(total), lag_pairs)) / lag_pairs
-
-
-def _normality_p(
-    skewness: float, kurtosis: float, error_autocorrelation: np.ndarray, pairs: np.ndarray
-) -> float:
-    """Return the p-value of Jarque-Bera's test for autocorrelated errors.
-
-    N s² / (6 F₃) + N κ² / (24 F₄) ~ χ²_2 for skewness s and excess kurtosis κ, F_p = Σ_j N_j/N r_e(j)^p over
-    all lags of either sign, F₃ at least 1 (Lobato & Velasco 2004, Econometric Theory 20, 671).
-    """
-    count = int(pairs[0])
-    third, fourth = (
-        1.0 + 2.0 * float(np.sum(pairs[1:] / count * error_autocorrelation[1:] ** p)) for p in (3, 4)
-    )
-    statistic = count * (skewness**2 / (6 * max(third, 1.0)) + kurtosis**2 / (24 * fourth))
-    return float(chdtrc(2, statistic))
 
 
 def _taper(correlation: np.ndarray, pairs: np.ndarray) -> np.ndarray:

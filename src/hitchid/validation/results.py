@@ -373,15 +373,7 @@ def errors_summary(
     rows: Iterable[tuple[str, str, ModelFigures, Accuracy | None]],
     notes: tuple[str, ...],
 ) -> Summary:
-    """Return the main figures of models, as a validation and a comparison show them.
-
-    Args:
-        title: its beginning; the number of unseen tests of each section follows.
-        unit: of the errors.
-        accuracies: section to results, for the number of its tests.
-        rows: section, model and figures, and the results whose first test is shown as a small picture.
-        notes: below the table.
-    """
+    """Return the main figures of models, as a validation and a comparison show them."""
     tests = ", ".join(
         count(len(accuracy.tests), "unseen cycle" if section == CYCLES else f"unseen {section} test")
         for section, accuracy in accuracies.items()

@@ -190,14 +190,7 @@ def validation_tables(
     cycles: CycleResult | None,
     model_units: Mapping[str, str],
 ) -> Iterator[DataTable]:
-    """Yield the tables of each direction, then those of mixed cycles.
-
-    Args:
-        unit: of the displacement in the logs.
-        channels: direction to its results.
-        cycles: results of the mixed cycles; None where there are none.
-        model_units: signal to unit in the model.
-    """
+    """Yield the tables of each direction, then those of mixed cycles."""
     for direction, channel in channels.items():
         yield from _accuracy_tables(direction, channel.accuracy, unit)
         for name, estimates in (
@@ -307,16 +300,15 @@ def _parameter_data(name: str, estimates: Estimates) -> DataTable:
         for estimate in estimates.parameters
     ]
     derived: list[Row] = [
-        {
-            "name": quantity.name,
-            "unit": quantity.unit,
-            "value": quantity.value,
-            **_ends(quantity.interval, "interval_95_"),
-            "determined": quantity.determined,
-        }
+        {"name": quantity.name, "unit": quantity.unit, **_quantity_cells(quantity)}
         for quantity in estimates.derived
     ]
     return DataTable.of_rows(name, [*parameters, *derived])
+
+
+def _quantity_cells(quantity: Quantity) -> Row:
+    ends = _ends(quantity.interval, "interval_95_")
+    return {"value": quantity.value, **ends, "determined": quantity.determined}
 
 
 def _speed_map_data(name: str, characteristics: Characteristics, model_units: Mapping[str, str]) -> DataTable:
@@ -350,9 +342,7 @@ def _characteristic_data(name: str, characteristics: Characteristics) -> DataTab
             {
                 "quantity": quantity_name,
                 "unit": unit,
-                "value": quantity.value,
-                **_ends(quantity.interval, "interval_95_"),
-                "determined": quantity.determined,
+                **_quantity_cells(quantity),
                 f"step_to_{characteristics.command_unit}": characteristics.level,
             }
             for quantity_name, (quantity, unit) in characteristics.quantities.items()

@@ -173,6 +173,7 @@ def validate(
     if not usable.directions:
         dead_zones = segmentation_dead_zones or model.segmentation_dead_zones(usable.units)
         single_direction = usable.segmented(dead_zones)
+    # Figures are in the unit of the logs, which need not be the model's.
     unit = single_direction.records[0].unit
     factor = conversion_factor(model.units[DISPLACEMENT], unit, "displacement")
     unseen_cycles = []

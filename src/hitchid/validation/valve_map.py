@@ -103,19 +103,14 @@ def _steady_speeds(tests: Sequence[Record], channel: Channel) -> tuple[np.ndarra
     for test in tests:
         command = test.command(channel.direction)
         steady_samples, slope_samples = (max(3, round(span / test.step_s)) for span in (steady_s, SLOPE_S))
-        last_change = np.maximum.accumulate(np.where(_command_changes(command), np.arange(command.size), 0))
+        changed = np.abs(np.diff(command, prepend=command[:1])) > NOISE * np.ptp(command)
+        last_change = np.maximum.accumulate(np.where(changed, np.arange(command.size), 0))
         sample_indices = np.flatnonzero(np.arange(command.size) - last_change == steady_samples)
         commands.append(command[sample_indices])
-        displacement_change = channel.sign * (
-            test.displacement[sample_indices] - test.displacement[sample_indices - slope_samples]
-        )
+        before = test.displacement[sample_indices - slope_samples]
+        displacement_change = channel.sign * (test.displacement[sample_indices] - before)
         speeds.append(displacement_change / (slope_samples * test.step_s))
     return np.concatenate(commands), np.concatenate(speeds)
-
-
-def _command_changes(command: np.ndarray) -> np.ndarray:
-    """Return a mask of the samples at which a command differs from the one before by more than noise."""
-    return np.abs(np.diff(command, prepend=command[:1])) > NOISE * np.ptp(command)
 
 
 def _ramp_speed(ramp: Record, channel: Channel) -> tuple[np.ndarray, np.ndarray]:
