@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 
 from handmade import DEAD_ZONES, hitch
-from hitchid.identification.campaign_job import (
-    SETTLED_S,
-    SHORTEST_S,
-    cycle_errors,
-    hold_drift,
-    without_speed_compensators,
-)
+from hitchid.identification.campaign_job import cycle_errors, without_speed_compensators
+from hitchid.identification.hold_drift import SETTLED_S, SHORTEST_S, drift_is_shown, hold_drift, holds
+from hitchid.model import TravelLimits
 
 STEP_S = 0.01
 SETTLED, SHORTEST = round(SETTLED_S / STEP_S), round(SHORTEST_S / STEP_S)
@@ -23,11 +19,11 @@ CREEP, NOISE = -0.4, 0.02
 def held(make_record):
     """Return a function that makes a piston creep where no valve is on; elsewhere it moves."""
 
-    def make(*levels, noise=0.0, seed=0):
+    def make(*levels, creep=CREEP, noise=0.0, seed=0):
         sizes, ups, downs = zip(*levels, strict=True)
         up, down = np.repeat([ups, downs], sizes, axis=1).astype(float)
         idle = (up <= DEAD_ZONES["lifting"]) & (down <= DEAD_ZONES["lowering"])
-        speed = np.where(idle, CREEP, 20 * up - 30 * down)
+        speed = np.where(idle, creep, 20 * up - 30 * down)
         errors = noise * np.random.default_rng(seed).standard_normal(up.size)
         return make_record(100 + STEP_S * np.concatenate([[0.0], np.cumsum(speed)[:-1]]) + errors, up, down)
 
@@ -38,30 +34,50 @@ CYCLE = ((200, 0, 0), (100, 0.6, 0), (150, 0.2, 0.1), (100, 0, 0.5), (250, 0, 0)
 
 
 def test_the_creep_is_found_within_its_standard_error(held):
-    assert hold_drift([held(*CYCLE)], DEAD_ZONES) == pytest.approx(CREEP, rel=1e-9)
+    assert hold_drift(holds([held(*CYCLE)], DEAD_ZONES)) == pytest.approx(CREEP, rel=1e-9)
     records = [held(*CYCLE, noise=NOISE, seed=seed) for seed in range(4)]
     settled = [samples - SETTLED for samples, up, down in CYCLE if max(up - 0.2, down - 0.1) <= 0]
     # The variance of a slope through n samples of noise σ is σ² / Σ(t − t̄)², and Σ = h² (n³ − n) / 12.
     spread = len(records) * STEP_S**2 * sum(n**3 - n for n in settled) / 12
-    assert abs(hold_drift(records, DEAD_ZONES) - CREEP) < 4 * NOISE / np.sqrt(spread)
+    assert abs(hold_drift(holds(records, DEAD_ZONES)) - CREEP) < 4 * NOISE / np.sqrt(spread)
 
 
 def test_nothing_held_creeps_not(held):
-    assert hold_drift([held((300, 0.6, 0), (300, 0, 0.6))], DEAD_ZONES) == 0.0
-    assert hold_drift([], DEAD_ZONES) == 0.0
+    assert hold_drift(holds([held((300, 0.6, 0), (300, 0, 0.6))], DEAD_ZONES)) == 0.0
+    assert hold_drift([]) == 0.0
 
 
 def test_what_is_held_too_briefly_is_left_out(held):
     long_enough = SETTLED + SHORTEST
     for samples, expected in ((long_enough - 1, 0.0), (long_enough, CREEP)):
-        creep = hold_drift([held((100, 0.6, 0), (samples, 0, 0), (100, 0.6, 0))], DEAD_ZONES)
+        creep = hold_drift(holds([held((100, 0.6, 0), (samples, 0, 0), (100, 0.6, 0))], DEAD_ZONES))
         assert creep == pytest.approx(expected, rel=1e-9)
 
 
 def test_half_a_second_after_a_stroke_is_left_out(make_record):
     up = np.concatenate([np.full(100, 0.6), np.zeros(200)])
     settling = np.concatenate([np.linspace(0, 5, 100 + SETTLED), np.full(200 - SETTLED, 5.0)])
-    assert hold_drift([make_record(settling, up, 0 * up)], DEAD_ZONES) == pytest.approx(0.0, abs=1e-12)
+    assert hold_drift(holds([make_record(settling, up, 0 * up)], DEAD_ZONES)) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_piston_on_its_stop_says_nothing_of_creep(held):
+    record = held(*CYCLE)
+    stop = TravelLimits(float(record.displacement[:200].mean()), 200.0, lower_stop=True)
+    assert len(holds([record], DEAD_ZONES, stop)[0]) == len(holds([record], DEAD_ZONES)[0]) - 1
+
+
+@pytest.mark.parametrize("logs", [1, 4])
+@pytest.mark.parametrize(
+    ("creeps", "shown"), [((CREEP,) * 4, True), ((0.0,) * 4, False), ((-1, 1, -1, 1), False)]
+)
+def test_a_creep_is_shown_where_the_others_have_it(held, logs, creeps, shown):
+    records = [held(*CYCLE, creep=creep, noise=NOISE, seed=n) for n, creep in enumerate(creeps[:logs])]
+    assert drift_is_shown(holds(records, DEAD_ZONES)) is (shown or (logs == 1 and creeps[0] != 0))
+
+
+def test_nothing_held_shows_no_creep(held):
+    assert not drift_is_shown([])
+    assert not drift_is_shown(holds([held((300, 0.6, 0), (300, 0, 0.6))], DEAD_ZONES))
 
 
 @pytest.mark.parametrize("compensated", [True, False])

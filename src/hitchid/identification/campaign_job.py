@@ -11,8 +11,9 @@ from hitchid._support.precision import parallel
 from hitchid._support.progress import ProgressCallback, attempt, parallel_progress
 from hitchid.errors import InputError, SettingsError
 from hitchid.identification.config import ChannelConfig, IdentificationConfig
-from hitchid.identification.dead_zone import DeadZone, slow_clock_factor
+from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.direction import with_calibrated_gain
+from hitchid.identification.hold_drift import RESPONSES, SETTLED_S, drift_is_shown, hold_drift, holds
 from hitchid.identification.mode_test import calibrate_gains, calibration_improves, compare_modes
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.preparation import ChannelData, mixed_dead_zones, prepare
@@ -21,7 +22,6 @@ from hitchid.identification.rivals import trained_rivals
 from hitchid.logs.audit import feedback_of
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.from_rest import from_rest
-from hitchid.logs.kinds import direction_signs
 from hitchid.logs.record import COMMAND, CYCLE, DISPLACEMENT, Record
 from hitchid.model import Channel, Hitch, Provenance, Rivals, TravelLimits
 from hitchid.structures import ModelSpec
@@ -48,33 +48,6 @@ def cycle_errors(hitch: Hitch, cycles: Sequence[Record]) -> tuple[float, float]:
         return float(np.sqrt(np.mean(squares)))
 
     return rmse(hitch), rmse(without_speed_compensators(hitch))
-
-
-# Drift of a held piston.
-
-# s, at sampling times up to 0.1 s: time for lags of hydraulics to die away; shortest stretch with a slope.
-SETTLED_S, SHORTEST_S = 0.5, 0.5
-
-
-def hold_drift(records: Sequence[Record], dead_zones: Mapping[str, float]) -> float:
-    """Return the speed of a held piston, in the displacement's unit/s; zero where nothing is held.
-
-    The slope that displacement has in common over all stretches without effective command, from 0.5 s after
-    their start, of at least 0.5 s (five samples at long sampling times): least squares, each stretch with a
-    level of its own.
-    """
-    sum_time_displacement = sum_time_squared = 0.0
-    for record in records:
-        samples_per_s = slow_clock_factor(record.step_s) / record.step_s
-        settling_samples, min_samples = round(SETTLED_S * samples_per_s), round(SHORTEST_S * samples_per_s)
-        is_held = np.concatenate([[False], direction_signs(record, dead_zones) == 0, [False]])
-        edges = np.flatnonzero(np.diff(is_held.astype(np.int64)))
-        for start, stop in zip(edges[::2] + settling_samples, edges[1::2], strict=True):
-            if stop - start >= min_samples:
-                time_s = record.time_s[start:stop] - record.time_s[start:stop].mean()
-                sum_time_displacement += float(time_s @ record.displacement[start:stop])
-                sum_time_squared += float(time_s @ time_s)
-    return sum_time_displacement / sum_time_squared if sum_time_squared else 0.0
 
 
 ChannelResults = Mapping[str, tuple[Channel, ChannelTrace]]
@@ -212,6 +185,12 @@ class CampaignJob:
         mode_test = None
         if len({self.campaign.units[COMMAND[direction]] for direction in results}) == 1:
             mode_test = attempt("test of one shared model", lambda: compare_modes(self.channel_data), notices)
+        drift = self._hitch(results).drift
+        if drift:
+            unit = self.campaign.units[DISPLACEMENT]
+            notices.append(
+                f"a held piston moves by {drift:.3g} {unit}/s, which free runs of mixed logs contain"
+            )
         identification = self.assemble(_with_notices(results, notices))
         return replace(identification, model=replace(identification.model, two_modes=mode_test))
 
@@ -267,8 +246,20 @@ class CampaignJob:
         limits = TravelLimits.of(records, stops)
         channels = {direction: replace(channel, limits=limits) for direction, (channel, _) in results.items()}
         dead_zones = {direction: channel.dead_zone for direction, channel in channels.items()}
-        drift = hold_drift(records, dead_zones) if self.config.drift else 0.0
-        return Hitch(channels, campaign.step_s, units, drift=drift)
+        responses_s = [
+            trace.uncertainty.characteristics.response_time.value
+            for _, trace in results.values()
+            if trace.uncertainty is not None
+            and trace.uncertainty.characteristics is not None
+            and trace.uncertainty.characteristics.response_time is not None
+        ]
+        settled_s = max([SETTLED_S, *(RESPONSES * response_s for response_s in responses_s)])
+        held = holds(records, dead_zones, limits, settled_s)
+        # Without a response time it is open how long a piston moves after its command: that would be no drift.
+        is_used = self.config.drift
+        if is_used is None:
+            is_used = len(responses_s) == len(results) and drift_is_shown(held)
+        return Hitch(channels, campaign.step_s, units, drift=hold_drift(held) if is_used else 0.0)
 
 
 def _check_dead_zone(campaign: Campaign, direction: str, value: float) -> None:

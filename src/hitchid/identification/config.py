@@ -116,7 +116,7 @@ class IdentificationConfig:
     search: Search
     training: CompensatorConfig | None
     dead_zones: Mapping[str, float]
-    drift: bool
+    drift: bool | None
     rivals: RivalsConfig
     seed: int
 
@@ -127,7 +127,7 @@ class IdentificationConfig:
         search: Search | str = WHALE,
         training: CompensatorConfig | None = TRAINING,
         dead_zones: Mapping[str, float] = NO_DEAD_ZONES,
-        drift: bool = False,
+        drift: bool | None = None,
         rivals: RivalsConfig | bool | None = False,
         seed: int = 0,
     ) -> "IdentificationConfig":
@@ -142,7 +142,8 @@ class IdentificationConfig:
             search, Search, "search", f"one of {', '.join(SEARCHES)}, or a Search of hitchid.estimation"
         )
         checks.instance(training, (CompensatorConfig, type(None)), "training", "CompensatorConfig or None")
-        checks.instance(drift, bool, "drift", "True or False")
+        if drift is not None:
+            checks.instance(drift, bool, "drift", "True, False or None")
         if checks.integer(seed, "seed") > LARGEST_SEED:
             raise checks.input_error("seed", f"at most {LARGEST_SEED}", seed)
         for direction, dead_zone in checks.mapping_of(dead_zones, DIRECTIONS, "dead_zones").items():

@@ -234,7 +234,7 @@ def cross_validate(
     search: Search | str = WHALE,
     training: CompensatorConfig | None = TRAINING,
     dead_zones: Mapping[str, float] = NO_DEAD_ZONES,
-    drift: bool = False,
+    drift: bool | None = None,
     rivals: RivalsConfig | bool | None = False,
     seed: int = 0,
     progress: ProgressCallback | None = None,

@@ -147,7 +147,7 @@ def identify(
     search: Search | str = WHALE,
     training: CompensatorConfig | None = TRAINING,
     dead_zones: Mapping[str, float] = NO_DEAD_ZONES,
-    drift: bool = False,
+    drift: bool | None = None,
     rivals: RivalsConfig | bool | None = False,
     seed: int = 0,
     progress: ProgressCallback | bool | None = True,
@@ -169,7 +169,7 @@ def identify(
             settings, `Whale`, `DifferentialEvolution` or `MultiStart`.
         training: settings of phase 2; None identifies benchmarks alone.
         dead_zones: direction to dead zone, in the command's unit, where it is known.
-        drift: whether the drift of a held piston is identified; otherwise it is zero.
+        drift: whether the drift of a held piston is identified, else it is zero; None: where the logs show one.
         rivals: models that are fitted for comparison. False for those that cost little, ARX and the paper's
             transfer function; True for all, which takes longer than the model and may follow later, see
             `train_rivals`; None for none.
@@ -204,7 +204,7 @@ def identify_many(
     search: Search | str = WHALE,
     training: CompensatorConfig | None = TRAINING,
     dead_zones: Mapping[str, float] = NO_DEAD_ZONES,
-    drift: bool = False,
+    drift: bool | None = None,
     rivals: RivalsConfig | bool | None = False,
     seed: int = 0,
     progress: ProgressCallback | bool | None = True,

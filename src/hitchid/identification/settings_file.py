@@ -43,7 +43,7 @@ class Settings(TypedDict, total=False):
     search: Search
     training: CompensatorConfig | None
     dead_zones: Mapping[str, float]
-    drift: bool
+    drift: bool | None
     rivals: RivalsConfig | bool | None
     seed: int
 
@@ -154,7 +154,7 @@ class IdentifyFile(Strict):
     """The whole settings file."""
 
     seed: int = Field(default=0, ge=0, le=LARGEST_SEED)
-    drift: bool = False
+    drift: bool | None = None
     lifting: ChannelSection = ChannelSection()
     lowering: ChannelSection = ChannelSection()
     search: SearchSection = SearchSection()

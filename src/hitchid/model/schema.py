@@ -227,7 +227,7 @@ class KeptSettings(Described):
     search: Mapping[str, Any] = Field(default_factory=dict)
     training: Mapping[str, Any] = Field(default_factory=dict)
     dead_zones: Mapping[Direction, Size] = Field(default_factory=dict)
-    drift: bool = False
+    drift: bool | None = None
 
 
 class Sealed(Described):
