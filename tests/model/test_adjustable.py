@@ -31,8 +31,9 @@ MODELS = {
 def inputs(seed=0):
     """Return commands, shape [N, 2], and displacements, of which every third is measured, shape [N]."""
     rng = np.random.default_rng(seed)
-    up, down = levels(rng, SAMPLES // 2, low=0.3), levels(rng, SAMPLES // 2, low=0.2)
-    commands = np.stack([np.concatenate([up, 0 * down]), np.concatenate([0 * up, down])], axis=1)
+    commands = np.zeros((SAMPLES, 2))
+    commands[: SAMPLES // 2, 0] = levels(rng, SAMPLES // 2, low=0.3)
+    commands[SAMPLES // 2 :, 1] = levels(rng, SAMPLES // 2, low=0.2)
     moved = START + 0.1 * np.cumsum(commands @ [1.0, -1.0]) + 0.05 * rng.standard_normal(SAMPLES)
     return commands, np.where(np.arange(SAMPLES) % 3 == 0, moved, np.nan)
 

@@ -206,10 +206,10 @@ def test_predictions_from_some_samples_are_those_from_all(record_of):
     horizons = (1, 4)
     found = PLAIN.predictions(record, horizons, stride=every)
     whole = PLAIN.predictions(record, horizons)
-    for horizon, some, each in zip(horizons, found, whole, strict=True):
-        told = (np.arange(80) < horizon) | ((np.arange(80) - horizon) % every == 0)
-        np.testing.assert_array_equal(np.isnan(some), ~told)
-        np.testing.assert_array_equal(some[told], each[told])
+    for horizon, some, all_rows in zip(horizons, found, whole, strict=True):
+        predicted = (np.arange(80) < horizon) | ((np.arange(80) - horizon) % every == 0)
+        np.testing.assert_array_equal(np.isnan(some), ~predicted)
+        np.testing.assert_array_equal(some[predicted], all_rows[predicted])
 
 
 # Twenty steps, sums of 14 products of order 1, four outputs, times σ.
@@ -372,10 +372,7 @@ def test_the_speed_goes_on_where_the_mode_changes(structure):
     assert jumps[-1] < 0.2 * UP * SPEED
 
 
-STILL = ["integrator", *SMOOTH]
-
-
-@pytest.mark.parametrize("structure", STILL)
+@pytest.mark.parametrize("structure", ["integrator", *SMOOTH])
 def test_a_hitch_that_has_come_to_rest_stays_where_it_is(structure):
     model = hitch_of(*(channel(mode, structure, compensated=True, free_run=True) for mode in GAINS))
     # Three seconds are more than 30 of the longest time constants, 80 ms: exp(−30) of 15 mm/s.
@@ -422,21 +419,18 @@ def test_no_end_stop_is_passed(structure, seed):
     assert found[-1] == pytest.approx(97.0, abs=rounding)
 
 
-@pytest.mark.parametrize("before_s", [0.32, 0.33])
-def test_a_reversal_just_before_an_end_stop_does_not_pass_it(before_s):
+def test_from_an_end_stop_or_just_before_it_the_other_mode_starts():
     structure = "integrator-second-order"
-    channels = channel(LIFTING, structure, end_stop=104.0), channel(LOWERING, structure, end_stop=97.0)
-    found, _ = stepped(hitch_of(*channels), sequence((RISE, round(before_s / STEP_S)), (FALL, 40)))
-    assert found.max() <= 104.0
-
-
-def test_from_an_end_stop_the_other_mode_starts_at_rest():
-    structure = "integrator-second-order"
-    model = hitch_of(channel(LIFTING, structure, end_stop=104.0), channel(LOWERING, structure))
+    stopped = channel(LIFTING, structure, end_stop=104.0)
+    model = hitch_of(stopped, channel(LOWERING, structure))
+    for before in (32, 33):
+        just_before, _ = stepped(model, sequence((RISE, before), (FALL, 40)))
+        assert just_before.max() <= 104.0
     found, _ = stepped(model, sequence((RISE, 100), (FALL, 50)))
     assert found[100] == 104.0
     alone = hitch_of(channel(LOWERING, structure))
     expected, _ = stepped(alone, sequence((FALL, 50)), start=104.0)
+    # At the stop it is at rest.
     np.testing.assert_allclose(found[100:], expected, rtol=0, atol=150 * EPS * 200)
 
 
@@ -455,29 +449,24 @@ def test_of_a_command_that_is_missing_the_last_one_stands(model):
     np.testing.assert_array_equal(found, expected)
     np.testing.assert_array_equal(states.command_missing[1:], gone.any(axis=1))
     assert np.any(found != stepped(model, np.where(gone, 0.0, commands))[0])
-
-
-def test_commands_missing_from_the_start_are_taken_for_zero():
-    found, states = stepped(PLAIN, np.full((20, 2), np.nan))
-    np.testing.assert_array_equal(found, 100.0)
+    # Missing from the start, they are taken for zero.
+    from_start, states = stepped(replace(model, drift=0.0), np.full((20, 2), np.nan))
+    np.testing.assert_array_equal(from_start, 100.0)
     assert np.all(states.command_missing[1:])
 
 
-COASTING = hitch_of(*(channel(mode, "integrator-second-order", compensated=False) for mode in GAINS))
-
-
-@pytest.mark.parametrize("lost", [None, np.nan, np.inf, -np.inf])
-def test_without_a_measurement_the_model_coasts_on_its_last_error(lost):
-    model = COASTING
+def test_without_a_measurement_the_model_coasts_on_its_last_error():
+    model = hitch_of(*(channel(mode, "integrator-second-order", compensated=False) for mode in GAINS))
     commands = sequence((RISE, 20), (FALL, 20), (REST, 20))
-    measured = [*(100.0 + 0.3 * np.arange(15)), *[lost] * 45]
+    lost = [None, np.nan, np.inf, -np.inf] * 11
+    measured = [*(100.0 + 0.3 * np.arange(16)), *lost]
     found, states = stepped_singly(model, commands, measured)
     lengths = [int(model.unpack_state(state).samples_since_measurement) for state in states[1:]]
-    assert lengths == [*[0] * 15, *range(1, 46)]
+    assert lengths == [*[0] * 16, *range(1, 45)]
     free, _ = stepped(model, commands[:20])
     # Within one mode it moves from what was measured last by what the benchmark does.
     np.testing.assert_allclose(
-        found[15:21], measured[14] + free[15:21] - free[14], rtol=0, atol=60 * EPS * 200
+        found[16:21], measured[15] + free[16:21] - free[15], rtol=0, atol=60 * EPS * 200
     )
     assert abs(found[20] - free[20]) > 0.5
 
@@ -494,10 +483,9 @@ places = st.one_of(
 @by_name
 @given(given_=st.lists(st.tuples(numbers, numbers, places), min_size=1, max_size=60))
 def test_the_answer_is_a_number_whatever_comes(model, given_):
-    commands = np.array([each[:2] for each in given_])
-    measured = [each[2] for each in given_]
+    *commands, measured = zip(*given_, strict=True)
     after = cycles(np.random.default_rng(0), 30)
-    found, _ = stepped(model, np.concatenate([commands, after]), measured + [100.0] * 30)
+    found, _ = stepped(model, np.concatenate([np.stack(commands, axis=1), after]), [*measured, *[100.0] * 30])
     assert np.all(np.isfinite(found))
 
 
@@ -557,54 +545,47 @@ def test_a_step_within_a_program_of_the_users_is_the_same():
 
 
 @by_name
-def test_a_state_keeps_its_size_and_a_step_leaves_what_it_was_given(model):
-    commands = cycles(np.random.default_rng(7), 80)
+def test_a_packed_state_is_the_unpacked_one_and_left_alone(model):
+    commands = cycles(np.random.default_rng(9), 60)
     given_commands = commands.copy()
     state = model.init_state(100.0)
+    packing = Packing(model.unpack_state(state))
+    switching = []
     for command in commands:
-        before = jax.tree.map(lambda each: np.array(each), state)
+        before = jax.tree.map(lambda leaf: np.array(leaf), state)
         after, _ = model.step(state, command, np.float64(100.0))
         for ours, kept, new in zip(state, before, after, strict=True):
             np.testing.assert_array_equal(ours, kept)
             assert (new.shape, new.dtype) == (ours.shape, ours.dtype)
-        state = after
+        state, unpacked = after, model.unpack_state(after)
+        switching.append(model.switching(state))
+        assert switching[-1] == (int(unpacked.mode), bool(unpacked.both_valves_active))
     np.testing.assert_array_equal(commands, given_commands)
-
-
-def test_a_model_of_one_channel_does_not_hear_the_command_of_the_other():
-    mode = LOWERING
-    model = hitch_of(channel(mode, "integrator-second-order", compensated=True))
-    commands = cycles(np.random.default_rng(8), 150)
-    own = (LIFTING, LOWERING).index(mode)
-    quiet = commands.copy()
-    quiet[:, 1 - own] = 0.0
-    measured = [*[100.0] * 70, *[None] * 80]
-    np.testing.assert_array_equal(stepped(model, commands, measured)[0], stepped(model, quiet, measured)[0])
-    assert not np.any(stepped(model, np.where(np.arange(2) == own, 0.0, commands))[0] != 100.0)
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_a_start_that_is_no_number_is_refused(value):
-    with pytest.raises(InputError, match=r"^displacement: .*finite"):
-        PLAIN.init_state(value)
-    with pytest.raises(InputError, match=r"^load: .*finite"):
-        MODELS["curves, spool and dead time"].init_state(100.0, value)
-    with pytest.raises(InputError, match="load: the model has no covariate; expected None, got 80"):
-        PLAIN.init_state(100.0, 80.0)
-
-
-@by_name
-def test_packing_and_unpacking_a_state_changes_nothing(model):
-    _, states = stepped_singly(model, cycles(np.random.default_rng(9), 40), [100.0] * 40)
-    state = model.unpack_state(states[-1])
-    packing = Packing(model.unpack_state(states[0]))
-    for ours, theirs in zip(
-        jax.tree.leaves(packing.unpack(packing.pack(state))), jax.tree.leaves(state), strict=True
-    ):
+    assert len(set(switching)) > 1
+    jax.tree.map(np.testing.assert_array_equal, packing.pack(unpacked), state)
+    again = packing.unpack(packing.pack(unpacked))
+    for ours, theirs in zip(jax.tree.leaves(again), jax.tree.leaves(unpacked), strict=True):
         assert (ours.shape, ours.dtype) == (theirs.shape, theirs.dtype)
         np.testing.assert_array_equal(ours, theirs)
-    for ours, theirs in zip(packing.pack(state), states[-1], strict=True):
-        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_a_model_of_one_channel_does_not_hear_the_other_command():
+    model = hitch_of(channel(LOWERING, "integrator-second-order", compensated=True))
+    commands = cycles(np.random.default_rng(8), 150)
+    measured = [*[100.0] * 70, *[None] * 80]
+    heard, quiet = (stepped(model, each, measured)[0] for each in (commands, commands * [0, 1]))
+    np.testing.assert_array_equal(heard, quiet)
+    assert not np.any(stepped(model, commands * [1, 0])[0] != 100.0)
+
+
+def test_a_start_that_is_no_number_is_refused():
+    for value in (np.nan, np.inf, -np.inf):
+        with pytest.raises(InputError, match=r"^displacement: .*finite"):
+            PLAIN.init_state(value)
+        with pytest.raises(InputError, match=r"^load: .*finite"):
+            MODELS["curves, spool and dead time"].init_state(100.0, value)
+    with pytest.raises(InputError, match="load: the model has no covariate; expected None, got 80"):
+        PLAIN.init_state(100.0, 80.0)
 
 
 @pytest.mark.parametrize("measured", [100.0, np.nan, None])
@@ -616,15 +597,6 @@ def test_commands_may_be_an_array_a_list_or_jax_arrays(measured):
     )
     for other in others:
         jax.tree.map(np.testing.assert_array_equal, other, plain)
-
-
-@by_name
-def test_switching_is_that_of_the_unpacked_state(model):
-    _, states = stepped_singly(model, cycles(np.random.default_rng(9), 40), [100.0] * 40)
-    found = [model.switching(state) for state in states]
-    unpacked = [model.unpack_state(state) for state in states]
-    assert found == [(int(state.mode), bool(state.both_valves_active)) for state in unpacked]
-    assert len(set(found)) > 1
 
 
 def test_an_hour_with_wrong_gains_leaves_the_place_on_the_stroke_right():

@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import signal
 
 import handmade
 from hitchid.errors import InputError
 from hitchid.handover.linear import describing_function
+from hitchid.handover.responses import frequency_response
 from hitchid.logs.record import LIFTING, LOWERING
-from hitchid.model import Estimate, Estimates, Uncertainty
+from hitchid.model import Estimates, Uncertainty
+from report import reported
 
 DEAD_TIME_S = 0.0317
 SPREAD = 0.1  # standard error of the logarithm of the gain
@@ -18,27 +19,12 @@ DRAWS = 2000
 FREQUENCY_HZ = np.geomspace(0.05, 10.0, 25)
 
 
-def uncertain(model):
-    """Return a model whose gain in each direction has a standard error."""
+def uncertain(model, spread=SPREAD):
+    """Return a model whose gain in each direction has a standard error, unless its spread is None."""
     known = {}
     for direction in model.channels:
         gain = handmade.GAINS[direction]
-        estimate = Estimate(
-            "gain",
-            "K",
-            "mm/(s·A)",
-            gain,
-            SPREAD * gain,
-            (None, None),
-            "",
-            None,
-            1e-6,
-            1e6,
-            False,
-            True,
-            "",
-            0.0,
-        )
+        estimate = reported.estimate(value=gain, error=spread and spread * gain, interval=(None, None))
         known[direction] = Uncertainty(Estimates((estimate,), (), ((1.0,),), 5, 5))
     return replace(model, uncertainty=known)
 
@@ -48,26 +34,22 @@ def response(found):
     return found.magnitude.value * np.exp(1j * found.phase_rad.value)
 
 
-def of_matrices(system, s):
+def of_matrices(system, frequencies):
     """Return C (s − A)⁻¹ B at complex frequencies."""
+    identity = np.eye(len(system.A))
     return np.array(
-        [
-            (system.C @ np.linalg.solve(point * np.eye(len(system.A)) - system.A, system.B)).item()
-            for point in s
-        ]
+        [(system.C @ np.linalg.solve(s * identity - system.A, system.B)).item() for s in frequencies]
     )
 
 
 @pytest.mark.parametrize("direction", [LIFTING, LOWERING])
-def test_without_nonlinearities_it_is_the_identified_transfer_function(direction):
+def test_without_nonlinearities_it_is_the_channels_response(direction):
     model = handmade.hitch("integrator-second-order", dead_time_s=DEAD_TIME_S)
     linear = model.linearise(direction)
-    benchmark = model.channels[direction].benchmark
-    values = tuple(map(float, benchmark.values))
-    omega = 2 * np.pi * FREQUENCY_HZ
-    _, rational = signal.freqs(*benchmark.structure.transfer_function(values), omega)
-    found = response(linear.frequency_response(FREQUENCY_HZ))
-    np.testing.assert_allclose(found, rational * np.exp(-1j * omega * DEAD_TIME_S), rtol=1e-9)
+    found = linear.frequency_response(FREQUENCY_HZ)
+    # Which is compared with scipy's in `test_responses.py`.
+    expected = frequency_response(model.channels[direction], FREQUENCY_HZ, None, None)
+    np.testing.assert_allclose(response(found), response(expected), rtol=1e-9)
     assert linear.gain.value == pytest.approx(linear.sign * handmade.GAINS[direction], rel=1e-12)
     assert linear.drawn is None
     assert linear.models() == ()
@@ -106,14 +88,8 @@ def test_drawn_models_have_the_spread_of_the_estimates_and_the_rest_of_the_model
 
 
 def test_a_model_without_standard_errors_has_no_draws():
-    model = uncertain(handmade.hitch("integrator-first-order"))
-    unknown = {
-        direction: Uncertainty(
-            replace(known.benchmark, parameters=(replace(known.benchmark.parameters[0], error=None),))
-        )
-        for direction, known in model.uncertainty.items()
-    }
-    linear = replace(model, uncertainty=unknown).linearise(LIFTING)
+    model = uncertain(handmade.hitch("integrator-first-order"), spread=None)
+    linear = model.linearise(LIFTING)
     assert linear.drawn is None
     assert linear.gain.lower is None
 

@@ -106,30 +106,24 @@ def estimate(name="gain", *, symbol="K", unit="mm/(s·A)", value=30.0, error=1.0
     return Estimate(name=name, symbol=symbol, unit=unit, value=value, error=error, interval=ends, **known)
 
 
-VAGUE = {"error": None, "determined": False}
+def _vague(name, symbol, unit, value, interval, verdict):
+    return estimate(
+        name,
+        symbol=symbol,
+        unit=unit,
+        value=value,
+        error=None,
+        interval=interval,
+        determined=False,
+        verdict=verdict,
+    )
+
+
 ESTIMATES = (
     estimate(),
-    estimate(
-        "time_constant",
-        symbol="τ",
-        unit="s",
-        value=0.02,
-        interval=(None, 0.05),
-        verdict="not determined",
-        **VAGUE,
-    ),
-    estimate(
-        "natural_frequency",
-        symbol="ωh",
-        unit="rad/s",
-        value=90.0,
-        interval=(40.0, None),
-        verdict="too fast",
-        **VAGUE,
-    ),
-    estimate(
-        "damping_ratio", symbol="ξh", unit="1", value=0.6, interval=(None, None), verdict="any", **VAGUE
-    ),
+    _vague("time_constant", "τ", "s", 0.02, (None, 0.05), "not determined"),
+    _vague("natural_frequency", "ωh", "rad/s", 90.0, (40.0, None), "too fast"),
+    _vague("damping_ratio", "ξh", "1", 0.6, (None, None), "any"),
     estimate(
         "curvature", symbol="curvature", unit="1", value=0.0, error=0.05, linear=True, lower=-1.0, upper=1.0
     ),
@@ -285,6 +279,28 @@ def document(*, said="A paragraph.", table=TABLE, items=None, title="A report", 
 
 
 PAPER = ("one_step", "free_run", "benchmark")
+RIVALS = ("lstm", "narx", "arx", "transfer_function", "benchmark", "free_run")
+# What each figure of the report is drawn of, with displacements in a unit.
+DRAWN = {
+    "convergence": lambda unit: (trace().phase1, unit),
+    "coverage": lambda unit: (bands(), STEP_S),
+    "error_distribution": lambda unit: (
+        {name: predictions().errors(name) for name in ("one_step", "free_run")},
+        unit,
+    ),
+    "errors_by_test": lambda unit: (predictions(), unit, RIVALS),
+    "horizons": lambda unit: (horizons(), STEP_S, unit),
+    "intervals": lambda unit: ("title", ESTIMATES),
+    "loads": lambda unit: (load_scatter(),),
+    "losses": lambda unit: (trace().phase2,),
+    "outputs": lambda unit: (predictions(), unit, PAPER),
+    "predicted_errors": lambda unit: (dict.fromkeys(("training", "validation"), predictions()), unit),
+    "residual_correlations": lambda unit: (residuals(),),
+    "residuals_by_variable": lambda unit: (residuals(), unit, "A"),
+    "searches": lambda unit: (searches(), unit),
+    "speed_map": lambda unit: (characteristics(unit),),
+    "structures": lambda unit: (trace().candidates, unit, None),
+}
 
 
 def sketch(name, *shown):

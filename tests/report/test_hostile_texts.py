@@ -106,12 +106,17 @@ def documents():
     return document(STRINGS, PICTURED), document(BENIGN, BENIGN[:9])
 
 
+def assert_inert(text):
+    """Assert that no character of a text acts on a terminal."""
+    assert not {character for character in text if acts(character)} - {"\n", "\t"}
+
+
 def test_a_page_has_the_elements_of_one_with_harmless_texts(documents):
     hostile, benign = (Elements(render(each, "html").decode()) for each in documents)
     assert hostile.elements == benign.elements
     shown = " ".join(" ".join(hostile.texts).split())
     assert all(" ".join(printable(text).split()) in shown for text in STRINGS)
-    assert not {character for text in hostile.texts for character in text if acts(character)} - {"\n", "\t"}
+    assert_inert("".join(hostile.texts))
 
 
 def test_the_data_of_an_interactive_page_stay_data(documents):
@@ -150,17 +155,16 @@ def test_a_table_of_markdown_keeps_its_cells(documents):
     assert {len(re.findall(r"(?<!\\)(?:\\\\)*\|", row)) for row in rows} == {3}
     for mark in "<`[":
         assert not re.search(rf"(?<!\\)(?:\\\\)*{re.escape(mark)}", text)
-    assert not {character for character in text if acts(character)} - {"\n", "\t"}
+    assert_inert(text)
 
 
 def test_text_for_a_terminal_and_junit_have_no_control_characters(documents):
-    text = render(documents[0], "terminal").decode()
-    assert not {character for character in text if acts(character)} - {"\n", "\t"}
+    assert_inert(render(documents[0], "terminal").decode())
     suite = ElementTree.fromstring(render(documents[0], "junit"))  # noqa: S314 - our own
     assert [case.get("name") for case in suite.iter("testcase")] == [printable(text) for text in STRINGS]
 
 
-def test_a_workbook_has_texts_and_no_formulas(documents):
+def test_a_workbook_has_texts_and_no_formulas_and_a_pdf_is_made(documents):
     pytest.importorskip("xlsxwriter")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -174,9 +178,6 @@ def test_a_workbook_has_texts_and_no_formulas(documents):
     cells = list(sheet.iter(f"{space}c"))
     assert {cell.get("t") for cell in cells[::2] if cell.find(f"{space}v") is not None} == {"s"}
     assert [float(cell.find(f"{space}v").text) for cell in cells[3::2]] == [1.0] * len(STRINGS)
-
-
-def test_a_pdf_is_set_with_them(documents):
     pytest.importorskip("typst")
     assert render(documents[0], "pdf").startswith(b"%PDF")
 
