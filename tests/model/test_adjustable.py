@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import jax
-import jax.monitoring
 import numpy as np
 import pytest
 
@@ -40,11 +39,11 @@ def inputs(seed=0):
 
 def stepped(step, state, commands, measured):
     """Return the last state and the displacement after each step."""
-    found = []
+    displacements = []
     for command, sample in zip(commands, measured, strict=True):
         state, displacement = step(state, command, sample)
-        found.append(float(displacement))
-    return state, np.array(found)
+        displacements.append(float(displacement))
+    return state, np.array(displacements)
 
 
 @pytest.fixture(scope="module", params=MODELS)
@@ -59,10 +58,10 @@ def pair(request):
 def test_it_steps_as_the_model_that_has_its_numbers(pair):
     model, changed, load, adjustable, tolerance = pair
     runs = []
-    for each in (model, changed, model):
-        state = adjustable.adjust(numbers_of_models(each), model.init_state(START, load))
+    for own in (model, changed, model):
+        state = adjustable.adjust(numbers_of_models(own), model.init_state(START, load))
         _, found = stepped(adjustable.step, state, *inputs())
-        _, expected = stepped(each.step, each.init_state(START, load), *inputs())
+        _, expected = stepped(own.step, own.init_state(START, load), *inputs())
         np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance)
         runs.append(found)
     np.testing.assert_array_equal(runs[2], runs[0])
@@ -87,7 +86,7 @@ def test_exchanged_under_way_and_back_again_it_goes_on_from_where_it_is(pair):
     assert abs(moved[0] - rest[0]) < 0.5
 
 
-def test_nothing_is_compiled_for_other_numbers():
+def test_nothing_is_compiled_for_other_numbers(compilations):
     model = handmade.hitch("integrator-first-order", compensated=True, filtered=True)
     rows = [
         np.asarray(numbers_of_models(changed_model(model, {LIFTING: Changes(gain)}))) for gain in (0.1, 0.2)
@@ -95,16 +94,10 @@ def test_nothing_is_compiled_for_other_numbers():
     adjustable = AdjustableHitch(model)
     state = adjustable.adjust(rows[0], model.init_state(START))
     state, _ = adjustable.step(state, np.zeros(2), START)
-    compiled = []
-    jax.monitoring.register_event_duration_secs_listener(
-        lambda name, *_, **__: compiled.append(name) if "compile" in name or "trace" in name else None
-    )
-    try:
+    with compilations() as compiled:
         state = adjustable.adjust(rows[1], state)
         adjustable.step(state, np.array([0.5, 0.0]), START)
-        assert compiled == []
-    finally:
-        jax.monitoring.clear_event_listeners()
+    assert compiled == []
 
 
 @double_precision

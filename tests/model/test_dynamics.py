@@ -17,7 +17,7 @@ from hitchid.model.dynamics import HitchDynamics
 from hitchid.model.inputs import mean_load
 from hitchid.model.step import Packing
 from hitchid.networks.error_compensator import MAX_HORIZON
-from truth import STEP_S, levels
+from truth import STEP_S, levels, shifted
 
 EPS = np.finfo(np.float64).eps
 SINGLE = float(np.finfo(np.float32).eps)
@@ -216,30 +216,9 @@ def test_predictions_from_some_samples_are_those_from_all(record_of):
 HEARD = 20 * 14 * 4 * SINGLE * ERROR_STEP
 
 
-@pytest.mark.parametrize("filtered", [False, True])
-def test_predictions_of_one_direction_are_those_of_its_channel(record_of, filtered):
-    rng, mode = np.random.default_rng(3), LOWERING
-    own = channel(mode, "integrator-first-order", compensated=True, dead_time_s=0.02, filtered=filtered)
-    commands = np.zeros((200, 2))
-    commands[:, (LIFTING, LOWERING).index(mode)] = levels(rng, 200, low=0.3)
-    measured = 100.0 + own.sign * np.cumsum(0.2 * rng.uniform(size=200))
-    measured[:6] = 100.0
-    record = record_of(measured, commands)
-    horizons = (1, 7)
-    expected = np.asarray(own.predict(own.batch([record]), horizons))[:, 0, :200]
-    found = hitch_of(own).predictions(record, horizons)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=7 * HEARD)
-    assert np.abs(found[0, 1:] - measured[:-1]).max() > 100 * HEARD
-
-
-def travelled(up, down, start=100.0):
+def travelled(up, down):
     """Return the integral of effective commands, held between samples, shape [N + 1]."""
-    return start + STEP_S * np.concatenate([[0.0], np.cumsum(UP * up - DOWN * down)])
-
-
-def late(samples, count):
-    """Return samples moved back by `count`."""
-    return np.concatenate([np.zeros(count), samples])[: len(samples)]
+    return 100.0 + STEP_S * np.concatenate([[0.0], np.cumsum(UP * up - DOWN * down)])
 
 
 def check(model, commands, up, down, modes):
@@ -293,7 +272,7 @@ def test_with_both_valves_on_the_piston_falls_and_the_state_says_so(before):
 def test_a_reversal_within_the_dead_time_plays_out_what_was_commanded(late_samples):
     model = hitch_of(*(channel(mode, dead_time_s=late_samples * STEP_S) for mode in GAINS))
     commands = sequence((RISE, 2), (FALL, 8), (RISE, 3), (REST, 10))
-    up, down = (late(each, late_samples) for each in SPEED * (commands > 0).T)
+    up, down = (shifted(each, late_samples) for each in SPEED * (commands > 0).T)
     modes = [(-1, late_samples), (0, 2), (1, 8), (0, 13 - late_samples)]
     check(model, commands, up, down, modes)
 
@@ -304,7 +283,10 @@ def test_of_unequal_dead_times_each_valve_has_its_own(late_up, late_down):
         channel(LIFTING, dead_time_s=late_up * STEP_S), channel(LOWERING, dead_time_s=late_down * STEP_S)
     )
     commands = sequence((RISE, 10), (FALL, 10), (REST, 10))
-    up, down = late(SPEED * (commands[:, 0] > 0), late_up), late(SPEED * (commands[:, 1] > 0), late_down)
+    up, down = (
+        shifted(SPEED * (commands[:, 0] > 0), late_up),
+        shifted(SPEED * (commands[:, 1] > 0), late_down),
+    )
     # Where the lowering valve has opened before the lifting one has shut, lowering counts.
     up = np.where(down > 0, 0.0, up)
     lifts, lowers = 10 + late_down - late_up, 20 - late_down
@@ -314,7 +296,7 @@ def test_of_unequal_dead_times_each_valve_has_its_own(late_up, late_down):
 def test_a_dead_time_of_broken_samples_moves_by_its_share():
     model = hitch_of(*(channel(mode, dead_time_s=0.037) for mode in GAINS))
     commands = sequence((RISE, 10), (REST, 6), (FALL, 10), (REST, 6))
-    up, down = ((0.3 * late(each, 3) + 0.7 * late(each, 4)) for each in SPEED * (commands > 0).T)
+    up, down = ((0.3 * shifted(each, 3) + 0.7 * shifted(each, 4)) for each in SPEED * (commands > 0).T)
     check(model, commands, up, down, [(-1, 3), (0, 16), (1, 13)])
 
 

@@ -10,6 +10,7 @@ import pytest
 from handmade import DEAD_ZONES, ERROR_STEP, GAINS, hitch
 from hitchid.errors import InputError
 from hitchid.logs.record import CYCLE, LIFTING, LOWERING
+from machine import moved
 from truth import STEP_S, levels
 
 EPS = np.finfo(np.float64).eps
@@ -28,21 +29,11 @@ def rise_and_fall(rest=10):
     return lifting, lowering
 
 
-def speed_of(lifting, lowering):
-    """Return the speed of two integrators behind their dead zones, mm/s, shape [N]."""
-    return UP * np.maximum(lifting - DEAD_UP, 0) - DOWN * np.maximum(lowering - DEAD_DOWN, 0)
-
-
-def travelled(speed, start=100.0):
-    """Return the integral of a speed held between samples, shape [N]."""
-    return start + STEP_S * np.concatenate([[0.0], np.cumsum(speed)[:-1]])
-
-
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("rest", [0, 10])
 def test_a_reversal_loses_nothing_of_the_command_before_it(make_record, turned, rest):
     lifting, lowering = rise_and_fall(rest)[:: -1 if turned else 1]
-    exact = travelled(speed_of(lifting, lowering))
+    exact = moved(100.0, np.stack([lifting, lowering], axis=1))
     found = INTEGRATORS.simulate(make_record(exact, lifting, lowering)).displacement
     # Sums of 250 numbers around 100.
     np.testing.assert_allclose(found, exact, rtol=0, atol=SAMPLES * EPS * 150)
@@ -78,7 +69,7 @@ def test_a_command_within_the_dead_zone_leaves_the_piston_standing(make_record, 
 def test_other_units_give_the_same_motion_in_the_units_of_the_record(make_record):
     model = hitch("integrator-first-order", compensated=True)
     lifting, lowering = rise_and_fall()
-    measured = travelled(speed_of(lifting, lowering))
+    measured = moved(100.0, np.stack([lifting, lowering], axis=1))
     ours = make_record(measured, lifting, lowering)
     theirs = replace(
         make_record(measured / 1000.0, 1000.0 * lifting, 1000.0 * lowering),
@@ -96,7 +87,7 @@ def test_other_units_give_the_same_motion_in_the_units_of_the_record(make_record
 
 def test_a_record_at_twice_the_rate_is_resampled_and_answered_at_its_own(make_record):
     lifting, lowering = rise_and_fall()
-    exact = travelled(speed_of(lifting, lowering))
+    exact = moved(100.0, np.stack([lifting, lowering], axis=1))
     slow = make_record(exact, lifting, lowering)
     fast = make_record(np.repeat(exact, 2), np.repeat(lifting, 2), np.repeat(lowering, 2), step_s=0.005)
     found = INTEGRATORS.simulate(fast).displacement
@@ -137,7 +128,7 @@ def test_a_horizon_below_one_sample_is_refused(make_record):
 
 def test_a_caller_in_single_precision_gets_double_and_stays_in_single(make_record):
     lifting, lowering = rise_and_fall()
-    record = make_record(travelled(speed_of(lifting, lowering)), lifting, lowering)
+    record = make_record(moved(100.0, np.stack([lifting, lowering], axis=1)), lifting, lowering)
     model = hitch("integrator-first-order", compensated=True)
     expected = model.simulate(record).displacement, model.predict(record)
     with jax.enable_x64(False):

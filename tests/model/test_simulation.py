@@ -2,19 +2,18 @@
 
 from dataclasses import replace
 
-import jax
-import jax.monitoring
 import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handmade import DEAD_ZONES, GAINS, NOISE, channel, envelope, hitch, hitch_of, with_bands
+from handmade import DEAD_ZONES, NOISE, channel, envelope, hitch, hitch_of, with_bands
 from hitchid import read
 from hitchid.errors import InputError
 from hitchid.logs.record import COMMAND, LIFTING, LOWERING, Record
 from hitchid.model import Simulation, TravelLimits
+from machine import moved
 from truth import STEP_S, levels
 
 SAMPLES, START = 240, 100.0
@@ -104,11 +103,7 @@ def test_what_is_given_counts_instead_of_what_a_record_shows():
 )
 def test_two_integrators_follow_their_closed_form(seed, start, samples):
     commands = commands_of(seed)[:samples]
-    speed = sum(
-        sign * GAINS[mode] * np.maximum(commands[:, column] - DEAD_ZONES[mode], 0)
-        for column, (mode, sign) in enumerate({LIFTING: 1, LOWERING: -1}.items())
-    )
-    exact = start + STEP_S * np.concatenate([[0.0], np.cumsum(speed)[:-1]])
+    exact = moved(start, commands)
     found = INTEGRATORS.simulate(commands, step_s=STEP_S, initial=start)
     rounding = samples * np.finfo(float).eps * np.abs(exact).max()
     np.testing.assert_allclose(found.displacement, exact, rtol=0, atol=rounding)
@@ -302,7 +297,7 @@ def test_the_commands_of_a_measured_log_are_enough(data):
         assert np.ptp(alone.displacement) > 10.0
 
 
-def test_models_of_like_structure_share_the_programs_of_their_free_runs():
+def test_models_of_like_structure_share_the_programs_of_their_free_runs(compilations):
     commands = levels(np.random.default_rng(3), 200, low=0.3)[:, None] * [1.0, 0.0]
 
     def model_with(dead_zone, end_stop, upper, drift):
@@ -324,14 +319,8 @@ def test_models_of_like_structure_share_the_programs_of_their_free_runs():
 
     first, second = model_with(0.2, 130.0, 140.0, -0.1), model_with(0.25, 104.0, 103.0, -0.2)
     runs = [displacement(first)]
-    compiled = []
-    jax.monitoring.register_event_duration_secs_listener(
-        lambda name, *_, **__: compiled.append(name) if "backend_compile" in name else None
-    )
-    try:
+    with compilations() as compiled:
         runs.append(displacement(second))
-    finally:
-        jax.monitoring.clear_event_listeners()
-    assert compiled == []
+    assert not [name for name in compiled if "backend_compile" in name]
     assert np.any(runs[0] != runs[1])
     assert np.max(runs[1]) == 103.0

@@ -21,7 +21,7 @@ from hitchid.logs.record import LIFTING
 from hitchid.model.trace import TracedDeadZone
 from hitchid.plots.style import COLOURS, COMPARED, DECIMATION_BINS, SHADES, decimate
 from hitchid.report import Picture, figures
-from hitchid.report.figures.parameters import ONSET_FACTOR
+from hitchid.report.figures.identification import ONSET_FACTOR
 from hitchid.report.svg import svg
 from hitchid.validation import Horizons
 from hitchid.validation.results import LABELS, concatenated_time

@@ -30,13 +30,8 @@ if TYPE_CHECKING:
 def linear_channel(model: "Hitch", direction: str | None, *, instead: str) -> Channel:
     """Return the channel of a direction; None stands for the only one of a model with one channel.
 
-    Args:
-        model: the model.
-        direction: of the channel.
-        instead: what to use where its structure is not linear, for the message.
-
     Raises:
-        InputError: the model has no such channel, or its structure is not linear.
+        InputError: the model has no such channel, or its structure is not linear; then use `instead`.
     """
     if direction is None and len(model.channels) == 1:
         (channel,) = model.channels.values()

@@ -107,14 +107,22 @@ def _content(signals: Signals) -> dict[str, object]:
 
 
 def _test(tests: Predictions, index: int, signals: Signals) -> dict[str, object]:
-    band = tests.band
+    band, is_compared = tests.band, "free_run" not in tests.models
+    colours = {shade.light: name.replace("_", "-") for name, shade in SHADES.items()}
     return {
         "name": tests.names[index],
         "time": _floats(tests.time_s[index]),
         "measured": _floats(tests.actual[index]),
         "band": None if band is None else [_floats(rows[index]) for rows in band],
         "models": [
-            _series(model, rows[index], shown="free_run" not in tests.models or model in SHOWN_FIRST)
+            {
+                "key": model,
+                "label": label(model),
+                "values": _floats(rows[index]),
+                "colour": f"--{colours[COLOURS.get(model, COLOURS['ink'])]}",
+                "dash": [2 * length for length in DASHES.get(model, ()) if length],
+                "shown": is_compared or model in SHOWN_FIRST,
+            }
             for model, rows in tests.models.items()
         ],
         "commands": [
@@ -125,18 +133,6 @@ def _test(tests: Predictions, index: int, signals: Signals) -> dict[str, object]
             }
             for number, (name, rows) in enumerate(tests.commands.items())
         ],
-    }
-
-
-def _series(model: str, values: np.ndarray, *, shown: bool) -> dict[str, object]:
-    colours = {shade.light: name.replace("_", "-") for name, shade in SHADES.items()}
-    return {
-        "key": model,
-        "label": label(model),
-        "values": _floats(values),
-        "colour": f"--{colours[COLOURS.get(model, COLOURS['ink'])]}",
-        "dash": [2 * length for length in DASHES.get(model, ()) if length],
-        "shown": shown,
     }
 
 
