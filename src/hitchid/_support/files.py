@@ -119,6 +119,7 @@ def write_folder(folder: Path, write: Callable[[Path], None], *, result_kind: st
                 {MANIFEST_FILE: canonical_json({"kind": result_kind, "files": _digests(temporary)})},
             )
             os.chmod(temporary, 0o755)  # noqa: S103
+            # Contents reach the disk before the name does: after a power cut no result is empty.
             fsync(*temporary.rglob("*"), temporary)
             check_folder(folder, result_kind=result_kind, force=force)  # it may exist by now
             backup = temporary.with_name(f"{temporary.name}-older")

@@ -105,6 +105,7 @@ def better_p_value(errors: np.ndarray, other_errors: np.ndarray, samples: np.nda
         ]
         return float(np.log(pooled[0]) - np.log(pooled[1]))
 
+    # Errors of one test are correlated, so tests are left out, not samples.
     test_indices = np.arange(tests)
     with np.errstate(divide="ignore", invalid="ignore"):
         overall = log_ratio(test_indices >= 0)

@@ -150,6 +150,7 @@ def _ends(
     extra = _gain_error(channel, points, held_loads, estimates)
     begin = (characteristics.opening or characteristics.dead_zone).interval[0] or 0.0
     fade = np.clip((size - begin) / max(levels[0] - begin, np.finfo(float).tiny), 0.0, 1.0)
+    # Below the lowest level the width is a share of the speed there: of one near zero it would be none.
     speeds, reference = (
         np.abs(_speeds(channel, points._replace(command=command)))
         for command in (size, np.maximum(size, levels[0]))

@@ -163,6 +163,7 @@ def simulate_ensemble(
     for number, dynamics in enumerate(members):
         groups.setdefault(jax.tree.structure(dynamics), []).append(number)
     displacements = np.empty((len(members), *initial.shape[:-1], len(commands)))
+    # Members of one structure are stacked: they are compiled once, not each.
     for indices in groups.values():
         stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *(members[number] for number in indices))
         displacements[indices] = _simulate_stacked(stacked, initial, commands)
@@ -209,6 +210,7 @@ def predict_from_origins(
         return jax.lax.scan(advance, state, jnp.arange(1, horizon + 1))[1]
 
     origins = np.arange(0, count, stride)
+    # The last group is filled with the first origins again, which are dropped at the end.
     groups = jnp.asarray(np.resize(origins, (-(-origins.size // ORIGINS_PER_BATCH), ORIGINS_PER_BATCH)))
 
     def coast_group(group: Array) -> Float[Array, "g h"]:

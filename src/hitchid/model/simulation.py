@@ -62,6 +62,7 @@ def to_model_units(
             f"the model has channels for {' and '.join(directions)}"
         )
     converted = record.convert({role: unit for role, unit in units.items() if role in record.signals})
+    # Clocks that hardly part are taken for one: interpolation would smooth what was measured.
     shift_s = abs(converted.step_s - step_s) * len(converted)
     resampled = converted if shift_s <= MAX_CLOCK_SHIFT * step_s else converted.resample(step_s)
     scales = full_scales([record])
@@ -366,6 +367,7 @@ def simulate(
                     f"load: expected '{name}' before motion, in {model.units[name]}, which the model "
                     f"requires; got {load}"
                 )
+        # What is missing is named before the commands are looked at: of both the user is told the simpler.
         record = record_of_commands(commands, tuple(channels), model.units, step_s)
     elif step_s is not None:
         raise InputError(f"step_s: a record has its own sampling time; expected None, got {step_s}")

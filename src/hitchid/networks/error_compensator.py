@@ -148,6 +148,7 @@ class Compensator(eqx.Module):
         self, hidden: LstmState, index_in_window: Int[Array, ""], scaled_features: Float32[Array, "*b 10"]
     ) -> tuple[LstmState, Float[Array, "*b"]]:
         """Return the next state of the LSTM and the increment of the error to the next sample."""
+        # The windows rotate before the input is read, as in training.
         hidden = jax.tree.map(
             lambda pair: jnp.where(index_in_window == 0, _rotate_windows(pair), pair), hidden
         )
