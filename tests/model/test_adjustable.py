@@ -68,7 +68,7 @@ def test_it_steps_as_the_model_that_has_its_numbers(pair):
     assert np.abs(runs[1] - runs[0]).max() > 1e3 * tolerance
 
 
-def test_exchanged_under_way_and_back_again_it_goes_on_from_where_it_is(pair):
+def test_numbers_exchanged_and_back_again_change_nothing_else(pair):
     model, changed, load, adjustable, _ = pair
     (commands, measured), half = inputs(1), SAMPLES // 2
     start = adjustable.adjust(numbers_of_models(model), model.init_state(START, load))

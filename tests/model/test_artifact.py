@@ -96,7 +96,7 @@ def test_saving_twice_gives_the_same_bytes(folder, tmp_path):
         assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()
 
 
-def test_a_loaded_model_tells_the_name_of_its_folder_and_the_day_it_was_written(folder, tmp_path):
+def test_a_loaded_model_has_its_folders_name_and_date(folder, tmp_path):
     place = tmp_path / "arm-7"
     shutil.copytree(folder, place)
     written = datetime(2025, 3, 31, 23, 59, 59, tzinfo=UTC).timestamp()
@@ -194,7 +194,7 @@ PARTS = ("files", "channels", "step_s", "units", "split", "seen", "cut_at", "see
         ("rivals.json", ("model",), "0" * 64, "belongs to another model"),
     ],
 )
-def test_a_description_of_no_model_is_refused_though_its_digest_is_right(
+def test_a_description_of_no_model_is_refused_despite_its_digest(
     folder, tmp_path, name, keys, value, message
 ):
     place = shutil.copytree(folder, tmp_path / "model")

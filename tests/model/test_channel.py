@@ -80,7 +80,7 @@ def test_the_compensator_for_free_run_does_not_pass_the_end_stop(record):
     np.testing.assert_allclose(found, np.minimum(unbounded, 105.0), rtol=0, atol=1e-12)
 
 
-def test_outside_is_where_a_range_is_left_and_never_in_the_padding(record):
+def test_outside_is_where_a_range_is_left_not_in_padding(record):
     covered = envelope(command=(0.0, 0.3), displacement=(100.0, 103.0))
     model = channel(LIFTING, free_run=False, covered=covered)
     batch = model.batch([record], [100.0])

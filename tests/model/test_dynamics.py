@@ -134,7 +134,7 @@ by_name = pytest.mark.parametrize(
 
 
 @by_name
-def test_a_free_run_by_single_steps_is_that_of_the_whole_record(record_of, model):
+def test_a_free_run_by_steps_is_the_whole_records(record_of, model):
     commands = np.concatenate([np.zeros((60, 2)), cycles(np.random.default_rng(0), 600)])
     record = record_of(np.full(len(commands), 100.0), commands)
     load = LOAD if any(each.benchmark.covariates for each in model.channels.values()) else None
@@ -257,7 +257,7 @@ def test_the_channel_in_charge_is_the_last_that_was_called(pieces, modes):
 
 
 @pytest.mark.parametrize("before", [RISE, FALL, REST])
-def test_with_both_valves_on_the_piston_falls_and_the_state_says_so(before):
+def test_with_both_valves_on_the_piston_falls(before):
     commands = sequence((before, 6), (BOTH, 5), (RISE, 4))
     both = np.all(commands > 0, axis=1)
     up, down = SPEED * ((commands > 0) * np.stack([~both, np.ones(15, bool)], axis=1)).T
@@ -363,7 +363,7 @@ def test_a_hitch_that_has_come_to_rest_stays_where_it_is(structure):
     assert abs(found[-1] - 100.0) > 1.0
 
 
-def test_a_held_piston_creeps_at_its_drift_and_a_driven_one_does_not():
+def test_only_a_held_piston_creeps_at_its_drift():
     speed = -0.4
     model = hitch_of(*(channel(mode) for mode in GAINS), drift=speed)
     commands = sequence((REST, 20), (RISE, 30), (REST, 50), (FALL, 30), (REST, 50))
@@ -401,7 +401,7 @@ def test_no_end_stop_is_passed(structure, seed):
     assert found[-1] == pytest.approx(97.0, abs=rounding)
 
 
-def test_from_an_end_stop_or_just_before_it_the_other_mode_starts():
+def test_from_an_end_stop_or_near_it_the_other_mode_starts():
     structure = "integrator-second-order"
     stopped = channel(LIFTING, structure, end_stop=104.0)
     model = hitch_of(stopped, channel(LOWERING, structure))
@@ -581,7 +581,7 @@ def test_commands_may_be_an_array_a_list_or_jax_arrays(measured):
         jax.tree.map(np.testing.assert_array_equal, other, plain)
 
 
-def test_an_hour_with_wrong_gains_leaves_the_place_on_the_stroke_right():
+def test_an_hour_with_wrong_gains_keeps_the_place_right():
     noise_mm, minutes = 0.05, 60
     model = hitch_of(*(channel(mode, "integrator-first-order", filtered=True) for mode in GAINS))
     # The plant lifts 1 % faster and lowers 1 % slower than the model: up and down add up.

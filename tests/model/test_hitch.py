@@ -66,7 +66,7 @@ def test_a_command_within_the_dead_zone_leaves_the_piston_standing(make_record, 
     np.testing.assert_array_equal(hitch(structure).simulate(record).displacement, np.full(SAMPLES, 87.5))
 
 
-def test_other_units_give_the_same_motion_in_the_units_of_the_record(make_record):
+def test_other_units_give_the_same_motion_in_those_units(make_record):
     model = hitch("integrator-first-order", compensated=True)
     lifting, lowering = rise_and_fall()
     measured = moved(100.0, np.stack([lifting, lowering], axis=1))
@@ -85,7 +85,7 @@ def test_other_units_give_the_same_motion_in_the_units_of_the_record(make_record
         model.simulate(wrong)
 
 
-def test_a_record_at_twice_the_rate_is_resampled_and_answered_at_its_own(make_record):
+def test_a_record_at_twice_the_rate_is_answered_at_it(make_record):
     lifting, lowering = rise_and_fall()
     exact = moved(100.0, np.stack([lifting, lowering], axis=1))
     slow = make_record(exact, lifting, lowering)
@@ -106,7 +106,7 @@ def test_a_slightly_different_clock_is_answered_at_its_own(make_record, drift):
     assert (found[-3] - found[-53]) / (50 * step_s) == pytest.approx(UP * 0.5, rel=1e-6)
 
 
-def test_a_model_of_one_channel_refuses_a_record_that_needs_the_other(make_record):
+def test_a_model_of_one_channel_refuses_the_others_records(make_record):
     model = hitch(modes=(LIFTING,))
     lifting, lowering = rise_and_fall()
     record = make_record(np.full(SAMPLES, 100.0), lifting, lowering)

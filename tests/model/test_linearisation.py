@@ -71,7 +71,7 @@ def test_the_continuous_model_has_the_dead_time_up_to_its_approximation():
     np.testing.assert_allclose(of_matrices(linear.to_scipy(), 2j * np.pi * slow), exact, rtol=1e-7)
 
 
-def test_drawn_models_have_the_spread_of_the_estimates_and_the_rest_of_the_model():
+def test_drawn_models_have_the_spread_of_the_estimates():
     model = uncertain(handmade.hitch("integrator-first-order", dead_time_s=DEAD_TIME_S))
     linear = model.linearise(LOWERING, draws=DRAWS)
     logarithms = np.log(np.abs(linear.drawn.gain * linear.drawn.b[:, -1]))
@@ -101,7 +101,7 @@ def test_a_model_without_standard_errors_has_no_draws():
     assert linear.gain.lower is None
 
 
-def test_the_gain_is_the_slope_of_the_steady_speed_at_the_operating_point():
+def test_the_gain_is_the_slope_of_the_steady_speed():
     model = handmade.hitch_of(handmade.channel(LIFTING, "integrator-second-order", shape=True))
     at = {"displacement": 90.0, "load": 130.0}
     step = 1e-5
@@ -129,7 +129,7 @@ def test_the_describing_function_is_the_fundamental_of_a_simulated_play():
     assert describing_function(play, play) == 0
 
 
-def test_a_sine_within_the_play_moves_nothing_and_a_large_one_as_if_there_were_none():
+def test_a_sine_within_the_play_moves_nothing_a_large_one_all():
     model = handmade.hitch_of(handmade.channel(LIFTING, "integrator-first-order", shape=True))
     linear = model.linearise(load=120.0)
     assert linear.play > 0
@@ -245,7 +245,7 @@ def test_a_step_of_60_s_agrees_with_the_simulation(errors):
 
 
 @pytest.mark.long
-def test_a_small_step_about_an_operating_point_agrees_to_the_order_of_its_size(errors):
+def test_a_small_step_agrees_to_the_order_of_its_size(errors):
     curved = {key: np.array(error) for key, error in errors.items() if key.startswith("curved")}
     assert len(curved) == 2
     # The operating point in shares of U = 1.2 A beyond the opening d = 0.1, at mean load (120 bar), with
@@ -264,7 +264,7 @@ def test_a_small_step_about_an_operating_point_agrees_to_the_order_of_its_size(e
         assert np.all(np.abs(np.diff(found)) >= 0.5 * np.abs(np.diff(curvature)))
 
 
-def test_the_continuous_model_with_a_spool_is_the_limit_of_the_discrete_one():
+def test_the_continuous_model_is_the_limit_of_the_discrete_one():
     model = handmade.hitch_of(handmade.channel(LIFTING, "integrator-first-order", shape=True))
     point = {"command": 0.8, "displacement": 90.0, "load": 130.0}
     continuous = model.to_scipy(step_s=None, **point)

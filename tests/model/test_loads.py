@@ -36,7 +36,7 @@ CHANNELS = channel(LIFTING, oil=40.0), channel(LOWERING, pressure=90.0, oil=42.0
 MODEL = handmade.hitch_of(*CHANNELS)
 
 
-def test_covariates_and_their_means_are_in_one_order_and_the_first_channel_counts():
+def test_covariates_have_one_order_and_the_first_channel_counts():
     assert covariates_of(CHANNELS) == ("oil", "pressure")
     np.testing.assert_array_equal(mean_load(CHANNELS), [40.0, 90.0])
     np.testing.assert_array_equal(mean_load([handmade.channel(LIFTING)]), [0.0])
@@ -49,7 +49,7 @@ def test_each_channel_takes_its_own_in_its_own_order():
     np.testing.assert_array_equal(channel_load([handmade.channel(LIFTING)], 0, row), [0.0])
 
 
-def test_what_is_not_given_is_the_mean_and_several_values_make_several_rows():
+def test_covariates_not_given_are_means_and_several_make_rows():
     np.testing.assert_array_equal(load_row({"pressure": 100.0}, CHANNELS, "model"), [40.0, 100.0])
     np.testing.assert_array_equal(load_row(None, CHANNELS, "model"), [40.0, 90.0])
     found = load_row({"oil": [5.0, 70.0], "pressure": 100.0}, CHANNELS, "model")

@@ -78,7 +78,7 @@ def test_a_speed_map_that_is_not_known_is_refused():
         handmade.hitch().plot(axes_of(2))
 
 
-def test_the_step_response_shows_travel_above_speed_with_the_bands_of_the_draws():
+def test_the_step_response_shows_travel_and_speed_with_bands():
     travel, speed = MODEL.plot_step_response(LIFTING, [0.5, 0.7], duration_s=1.0, axes=axes_of(2), seed=3)
     expected = step_responses(MODEL.channels[LIFTING], [0.5, 0.7], 1.0, drawn_vectors(LIFTING, seed=3))
     assert [line.get_label() for line in travel.get_lines()] == ["0.5 A", "0.7 A"]
@@ -96,7 +96,7 @@ def test_the_step_response_shows_travel_above_speed_with_the_bands_of_the_draws(
     assert (travel.get_ylabel(), speed.get_ylabel()) == ("travel / mm", "speed / (mm/s)")
 
 
-def test_the_bode_diagram_shows_decibels_and_degrees_with_the_bands_of_the_draws():
+def test_the_bode_diagram_shows_decibels_and_degrees_with_bands():
     frequency_hz = [0.1, 1.0, 10.0]
     magnitude, phase = MODEL.plot_bode(frequency_hz=frequency_hz, axes=axes_of(2))
     for number, direction in enumerate((LIFTING, LOWERING)):

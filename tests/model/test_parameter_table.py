@@ -117,7 +117,7 @@ def test_a_gain_set_by_hand_is_that_of_the_simulation(make_record):
     assert model.parameters[LIFTING, "gain"].value == GAIN
 
 
-def test_what_was_computed_for_the_old_values_is_dropped_in_that_direction_only():
+def test_results_of_old_values_are_dropped_in_that_direction_only():
     model = handmade.with_bands(assessed(), LIFTING, LOWERING)
     changed = model.with_parameters(lifting={"gain": 25.0})
     assert changed.channels[LIFTING].compensator is changed.channels[LIFTING].speed_compensator is None
@@ -191,7 +191,7 @@ def test_unknown_names_and_values_that_are_not_admissible_are_refused(values, me
         handmade.hitch(modes=(LIFTING,)).with_parameters(lowering=values)
 
 
-def test_a_changed_model_is_saved_and_says_so_in_validation_and_report(tmp_path):
+def test_a_changed_model_says_so_in_folder_validation_and_report(tmp_path):
     changed = assessed().with_parameters(lifting={"gain": 25.0, "dead_time": 0.02})
     save(changed, tmp_path / "model")
     again = load(tmp_path / "model")

@@ -43,7 +43,7 @@ def test_the_frequency_response_is_scipys_delayed_by_the_dead_time(structure, di
         frequency_response(tanks, FREQUENCY_HZ, None, None)
 
 
-def test_a_valve_curve_multiplies_by_its_slope_the_gain_there_and_the_lag_of_the_spool():
+def test_a_valve_curve_multiplies_by_slope_gain_and_spool_lag():
     plain = handmade.channel(LIFTING, "integrator-first-order")
     curved = handmade.channel(LIFTING, "integrator-first-order", shape=True)
     nonlinearity = curved.benchmark.nonlinearity
@@ -65,7 +65,7 @@ def test_a_valve_curve_multiplies_by_its_slope_the_gain_there_and_the_lag_of_the
 
 
 @pytest.mark.parametrize("direction", [LIFTING, LOWERING])
-def test_travel_and_speed_after_a_step_are_those_of_the_closed_form(direction):
+def test_travel_and_speed_after_a_step_have_closed_forms(direction):
     channel = handmade.channel(direction, "integrator-first-order", dead_time_s=DEAD_TIME_S)
     within, found = step_responses(channel, [0.2, LEVEL], DURATION_S, None)
     assert set(within.travel.value) == {0.0}
@@ -120,7 +120,7 @@ def test_a_function_applies_to_values_and_band():
     assert Banded(np.ones(2)).map(np.negative).lower is None
 
 
-def test_levels_are_those_of_the_speed_map_or_shares_of_the_tests():
+def test_levels_are_the_speed_maps_or_shares_of_the_tests():
     channel = handmade.channel(LIFTING, covered=handmade.envelope(command=(0.0, 0.6)))
     assert default_levels(channel, (0.7, 0.4, 0.5, 0.4, 0.6)) == [0.4, 0.6, 0.7]
     assert default_levels(channel, (0.4,)) == [0.4]

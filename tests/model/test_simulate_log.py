@@ -76,7 +76,7 @@ def assert_predicted(rows, expected, **tolerance):
     np.testing.assert_allclose(predicted, expected, **{"rtol": NINE_DIGITS, **tolerance})
 
 
-def test_free_run_is_the_closed_form_beside_the_columns_as_they_stood(lifter, tmp_path):
+def test_free_run_is_the_closed_form_beside_unchanged_columns(lifter, tmp_path):
     (tmp_path / "campaign.toml").write_text('[split]\ntest = ["other-*"]\n')  # this log is in no part
     header, rows = simulated(lifter, tmp_path, PLAIN)
     assert header == [*NAMES, PREDICTED]
@@ -203,7 +203,7 @@ def test_commands_and_an_initial_displacement_are_enough(lifter, tmp_path, measu
 @pytest.mark.parametrize(
     "measured", [np.where(np.arange(SAMPLES) < 3, MEASURED, np.nan), np.full(SAMPLES, 7.0)]
 )
-def test_a_broken_or_stuck_sensor_does_no_harm_beside_an_initial_value(lifter, tmp_path, measured):
+def test_a_broken_sensor_does_no_harm_beside_an_initial_value(lifter, tmp_path, measured):
     log = lines({**TABLE, "displacement_mm": measured})
     _, rows = simulated(lifter, tmp_path, log, initial=FROM_120_MM)
     assert_predicted(rows, free_run(120.0))
@@ -221,7 +221,7 @@ def test_without_displacement_and_initial_value_the_refusal_names_the_option(lif
         simulated(lifter, tmp_path, alone("time_s"), initial=FROM_120_MM)
 
 
-def test_commands_alone_are_read_by_the_signal_map_and_in_any_format(lifter, tmp_path):
+def test_commands_alone_are_read_by_signal_map_in_any_format(lifter, tmp_path):
     (tmp_path / "campaign.toml").write_text(
         '[signals]\ntime = { column = "t", unit = "ms" }\n'
         'command = { column = "valve", unit = "mA" }\ndisplacement = "angle_deg"\n'

@@ -186,7 +186,7 @@ def test_the_band_of_each_run_is_that_of_the_run_alone():
         uncompensated.band()
 
 
-def test_the_table_has_a_row_for_each_sample_and_its_unit_in_the_name():
+def test_the_table_has_a_row_per_sample_and_named_units():
     run = INTEGRATORS.simulate(commands_of(), step_s=STEP_S, initial=START)
     table = run.to_dataframe()
     assert list(table.columns) == ["time_s", "displacement_mm", "mode", "out_of_range"]

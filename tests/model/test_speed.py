@@ -51,7 +51,7 @@ def with_map(model, *, open_level=None, errors=(0.05, 0.02)):
     return replace(model, uncertainty={LIFTING: known})
 
 
-def test_speed_is_gain_times_what_lies_beyond_the_dead_zone_signed_as_the_displacement():
+def test_speed_is_gain_times_the_effective_command_signed_as_displacement():
     commands = np.array([[0.0, 0.2, 0.35], [0.5, 1.0, -1.0]])
     up, down = (COVERED.speed(commands, direction) for direction in (LIFTING, LOWERING))
     beyond = [[0.0, 0.0, 0.0], [0.15, 0.65, -0.65]]
@@ -95,7 +95,7 @@ def test_the_band_is_that_of_the_speed_map_at_its_points():
     np.testing.assert_allclose(found.band.upper, 1.2 * found.speed, rtol=1e-12)
 
 
-def test_the_band_narrows_to_zero_at_the_dead_zone_and_is_held_beyond_the_map():
+def test_the_band_ends_at_the_dead_zone_and_stays_beyond_the_map():
     model = with_map(curved())
     found = model.speed([0.1, 0.3, 0.34, 0.45, 0.7, 3.0])
     np.testing.assert_allclose(found.band.upper[:2], 0.0, atol=0)
@@ -111,7 +111,7 @@ def test_an_open_interval_opens_the_band_next_to_it():
     assert np.isinf(found.band.upper).tolist() == [False, False, True, True, True]
 
 
-def test_away_from_mid_stroke_the_error_of_the_gain_along_the_stroke_counts():
+def test_away_from_mid_stroke_the_strokes_gain_error_counts():
     model = with_map(curved(position_slope=0.2))
     found = model.speed(0.9, displacement=130.0)
     # ξ = 0.5, slope ± 0.05; in quadrature with the 20 % of the map.
@@ -166,7 +166,7 @@ def test_the_speed_at_the_command_for_a_speed_is_that_speed(
 
 
 @pytest.mark.parametrize("direction", [LIFTING, LOWERING])
-def test_a_table_goes_from_the_dead_zone_to_the_largest_command_of_the_tests(direction):
+def test_a_table_goes_from_dead_zone_to_largest_tested_command(direction):
     table = COVERED.inverse_table(direction)
     closed, widest = (0, -1) if direction == LIFTING else (-1, 0)
     dead_zone = handmade.DEAD_ZONES[direction]
@@ -176,7 +176,7 @@ def test_a_table_goes_from_the_dead_zone_to_the_largest_command_of_the_tests(dir
     np.testing.assert_allclose(COVERED.speed(table.command, direction).speed, table.speed, rtol=1e-9)
 
 
-def test_a_jump_of_the_valve_is_left_out_of_the_table_and_refused_in_it():
+def test_speeds_within_a_jump_of_the_valve_have_no_command():
     model = curved(opening=-0.2)
     table = model.inverse_table()
     # K U (−d) where the valve begins to open, less a thousandth of U.

@@ -137,7 +137,7 @@ def step_by_hand(compensator, rows, position):
     return ERROR_STEP * float(np.asarray(head.weight)[0] @ output + np.asarray(head.bias)[0])
 
 
-def test_a_step_comes_of_the_features_since_the_last_handover_but_one(compensator, made_up):
+def test_a_step_reads_features_since_the_last_handover_but_one(compensator, made_up):
     rows = by_hand(made_up)
     ahead = np.asarray(roll(compensator, made_up, TRUSTED, 1, STEP_S))[0]
     error = np.asarray(made_up.displacement - made_up.benchmark)
@@ -242,7 +242,7 @@ def test_no_later_measurement_or_command_changes_a_prediction(compensator, made_
         assert one[step - 1, first] != moved[step - 1, first]
 
 
-def test_a_free_run_is_a_roll_out_from_a_start_without_error(compensator, made_up):
+def test_a_free_run_is_a_roll_out_without_initial_error(compensator, made_up):
     rested = made_up._replace(displacement=made_up.displacement.at[0].set(made_up.benchmark[0]))
     ahead = np.asarray(roll(compensator, rested, TRUSTED, SAMPLES - 1, STEP_S))[:, 0]
     alone = np.asarray(run_free(compensator, *(signal[:, None] for signal in made_up[:3]), STEP_S))[:, 0]

@@ -126,7 +126,7 @@ def test_a_page_never_runs_over_the_width_of_the_screen(opened, width, scheme):
     assert outside == []
 
 
-def test_every_figure_is_seen_and_no_words_of_it_are_cut_off(page):
+def test_every_figure_is_seen_with_all_its_words(page):
     cut = page.evaluate(
         """() => [...document.querySelectorAll('figure svg')].flatMap(svg => {
             const whole = svg.getBoundingClientRect();

@@ -112,7 +112,7 @@ def test_every_public_figure_is_tested_here():
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_every_axis_has_a_unit_and_no_label_is_cut_off_or_covered(draw, name):
+def test_every_axis_has_a_unit_and_whole_labels(draw, name):
     figure = draw(name)
     figure.draw_without_rendering()
     for axes in figure.axes:
@@ -190,13 +190,13 @@ def test_no_two_models_of_a_figure_look_alike_even_without_colours(errors):
         assert len({line.get_color() for line in lines}) == len(lines)
 
 
-def test_every_model_that_can_be_drawn_has_a_name_and_a_colour_of_the_palette():
+def test_every_drawn_model_has_a_name_and_a_palette_colour():
     assert set(LABELS) <= set(COLOURS)
     assert set(COLOURS.values()) == {shade.light for shade in SHADES.values()}
 
 
 @pytest.mark.parametrize("name", [name for name in SHADES if name not in ("grid", "hold")])
-def test_a_curve_stands_out_from_white_paper_and_from_a_dark_screen(name):
+def test_a_curve_stands_out_from_paper_and_dark_screens(name):
     light, dark, screen = (
         tuple(int(colour[i : i + 2], 16) for i in (1, 3, 5))
         for colour in (SHADES[name].light, SHADES[name].dark, "#16161a")
@@ -236,7 +236,7 @@ def test_horizons_show_errors_over_seconds_where_a_model_did_not_diverge(known):
 
 
 @pytest.mark.parametrize("sizes", [(300,), (200, 200, 200)])
-def test_a_test_is_a_point_and_the_bar_is_the_root_of_their_mean_square(sizes):
+def test_each_test_is_a_point_and_the_bar_their_rms(sizes):
     tests = reported.predictions(sizes)
     axes = sketch("errors_by_test", tests, "mm", RIVALS).axes[0]
     points, bars = axes.get_lines()[::2], axes.get_lines()[1::2]
@@ -269,7 +269,7 @@ def test_a_distribution_shows_the_shares_of_995_of_1000_samples():
         assert bar.prod(axis=1).sum() == pytest.approx(share, rel=1e-9)
 
 
-def test_the_bell_has_mean_and_spread_of_the_errors_and_an_area_of_one():
+def test_the_bell_has_the_errors_mean_spread_and_unit_area():
     errors = 2.0 + 0.25 * np.random.default_rng(0).standard_normal(5000)
     wide = np.concatenate([errors, 8.0 - errors, np.repeat([-40.0, 40.0], 50)])
     above, _ = sketch("error_distribution", {"free_run": errors, "benchmark": wide}, "mm").axes
@@ -282,7 +282,7 @@ def test_the_bell_has_mean_and_spread_of_the_errors_and_an_area_of_one():
     assert trapezoid(place * bell, place) == pytest.approx(errors.mean(), abs=1e-2)
 
 
-def test_outputs_show_each_test_without_its_first_sample_and_keep_its_extremes():
+def test_outputs_show_each_test_with_its_extremes():
     tests = reported.predictions((2000, 1500, 1800))
     above, below = sketch("outputs", tests, "mm", PAPER).axes
     drawn = {"measured": tests.actual} | {LABELS[name]: tests.models[name] for name in PAPER}
@@ -416,7 +416,7 @@ def marks(axes):
     return [line.get_marker() for line in axes.get_lines() if line.get_marker() not in ("None", None, "")]
 
 
-def test_an_interval_runs_from_end_to_end_and_open_ends_are_arrows():
+def test_an_interval_has_both_ends_or_arrows():
     estimates = reported.ESTIMATES
     for axes, known in zip(sketch("intervals", "title", estimates).axes, estimates, strict=True):
         bar = axes.get_lines()[0].get_xdata()
@@ -446,7 +446,7 @@ def test_an_interval_around_zero_is_drawn_on_a_plain_scale(interval):
 
 
 @pytest.mark.parametrize("value", [1e-4, 0.08, 1.0, 30.0, 1e5])
-def test_an_interval_has_numbers_along_its_scale_that_can_be_told_apart(value):
+def test_an_interval_has_distinct_numbers_along_its_scale(value):
     for error in (0.003 * value, 0.03 * value, 0.3 * value):
         figure = sketch("intervals", "title", [reported.estimate(value=value, error=error)])
         figure.draw_without_rendering()
@@ -458,7 +458,7 @@ def test_an_interval_has_numbers_along_its_scale_that_can_be_told_apart(value):
 # --- the valve ----------------------------------------------------------------------------------------------
 
 
-def test_the_map_of_the_valve_has_gain_and_dead_zone_of_the_benchmark(pressed, ramp):
+def test_the_valve_map_has_gain_and_dead_zone_of_the_benchmark(pressed, ramp):
     channel = handmade.channel(LIFTING)
     test = pressed(*[0.4, 0.5, 0.6] * 8)
     axes = sketch("valve_map", valve_map(channel, [test], [ramp]), "mm", "A").axes[0]
@@ -482,7 +482,7 @@ def test_the_map_of_the_valve_has_gain_and_dead_zone_of_the_benchmark(pressed, r
         assert middle == pytest.approx(steady(place), abs=1e-6)
 
 
-def test_the_map_of_the_valve_waits_until_a_slow_speed_has_settled(make_record):
+def test_the_valve_map_waits_until_a_slow_speed_has_settled(make_record):
     # K/(s (τ s + 1)) with a lag of 1 s: after 0.25 s a command has moved the speed by 22 % of its change.
     lag_s, held = 1.0, round(5.0 / reported.STEP_S)
     slow = handmade.channel(LIFTING, "integrator-first-order")
@@ -501,7 +501,7 @@ def test_the_map_of_the_valve_waits_until_a_slow_speed_has_settled(make_record):
     assert bins[0].middle == pytest.approx(expected, abs=handmade.GAINS[LIFTING] * 0.25 * np.exp(-3.8))
 
 
-def test_the_speed_map_shows_speeds_bands_and_measured_points_for_each_load():
+def test_the_speed_map_shows_bands_and_points_of_each_load():
     known = reported.characteristics()
     axes = sketch("speed_map", known).axes[0]
     lines = {line.get_label(): line for line in axes.get_lines()}
@@ -520,7 +520,7 @@ def test_the_speed_map_shows_speeds_bands_and_measured_points_for_each_load():
     np.testing.assert_array_equal(measured, [(each.command, each.speed) for each in known.measured])
 
 
-def test_the_map_of_the_valve_needs_no_ramp_and_no_command_that_stands(make_record):
+def test_the_valve_map_needs_no_ramp_and_no_standing_command(make_record):
     command = 0.4 + 0.1 * np.sin(np.arange(200))
     moving = make_record(100 + np.arange(200.0), command, 0 * command)
     axes = sketch("valve_map", valve_map(handmade.channel(LIFTING), [moving], []), "mm", "A").axes[0]

@@ -65,7 +65,7 @@ def test_a_figure_has_the_pages_width_units_and_whole_labels(name, fleet):
     assert "<svg" in svg(figure)
 
 
-def test_a_forest_has_a_row_for_each_machine_those_that_stand_out_first():
+def test_a_forest_has_a_row_per_machine_outliers_first():
     gain = figures.forest(compared("24"), "lowering").axes[0]
     labels = [text.get_text() for text in gain.get_yticklabels()]
     assert set(labels[:2]) == {"tractor-07", "tractor-02"}
@@ -85,7 +85,7 @@ def test_of_many_machines_outliers_are_drawn_and_quantiles_of_the_others():
     assert len(figures.verdict_rows(comparison)[0]) == len(shown)
 
 
-def test_of_many_machines_without_an_outlier_there_is_one_row_of_quantiles():
+def test_many_machines_without_outlier_are_one_row_of_quantiles():
     comparison = compare_fleet(fleet_rows.fleet(70, seed=1), false_discovery_rate=1e-6)
     assert comparison.standing_out == ()
     axes = figures.forest(comparison, "lifting").axes[0]
@@ -106,7 +106,7 @@ def test_the_map_of_verdicts_says_higher_lower_and_not_identified():
     assert np.all(figures.verdict_codes(compared("three")) == ABSENT)
 
 
-def test_a_machine_has_the_same_line_for_its_speed_in_both_directions():
+def test_a_machine_has_one_line_in_both_directions():
     rows = fleet_rows.fleet(30, faults=FAULTS)
     slow = rows[7].directions
     weak = {direction: fleet_rows.figures(direction, gain_factor=0.8) for direction in slow}

@@ -126,7 +126,7 @@ def test_the_data_of_an_interactive_page_stay_data(documents):
     assert [test["name"] for test in json.loads(data)["sections"]["lifting"]] == list(map(printable, STRINGS))
 
 
-def test_a_figure_is_xml_with_the_elements_of_one_with_harmless_texts(documents):
+def test_a_figure_is_xml_with_the_elements_of_a_harmless_one(documents):
     hostile, benign = (ElementTree.fromstring(each.pictures[0].svg) for each in documents)  # noqa: S314 - our own
     # Each line of a text is an element of its own.
     known = {element.tag for element in benign.iter()} | {"{http://www.w3.org/2000/svg}tspan"}
@@ -135,7 +135,7 @@ def test_a_figure_is_xml_with_the_elements_of_one_with_harmless_texts(documents)
     assert set(MATHEMATICS) <= texts
 
 
-def test_axes_of_the_caller_take_hostile_units_and_keep_their_own_texts():
+def test_the_callers_axes_take_hostile_units_and_keep_their_texts():
     figure = Figure()
     axes = figure.subplots(1, 2)
     axes[0].set_title("$x^2$")
@@ -164,7 +164,7 @@ def test_text_for_a_terminal_and_junit_have_no_control_characters(documents):
     assert [case.get("name") for case in suite.iter("testcase")] == [printable(text) for text in STRINGS]
 
 
-def test_a_workbook_has_texts_and_no_formulas_and_a_pdf_is_made(documents):
+def test_a_workbook_has_no_formulas_and_a_pdf_is_made(documents):
     pytest.importorskip("xlsxwriter")
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -171,7 +171,7 @@ def test_the_cursor_takes_the_range_with_it(opened):
     assert new_stop - new_start == pytest.approx(stop - start, abs=0.02)
 
 
-def test_a_test_and_a_direction_are_chosen_and_a_model_is_switched(opened):
+def test_test_and_direction_are_chosen_and_models_switched(opened):
     page, tests = opened(), shown()
     page.locator("#test").select_option(label="up-02")
     assert shown_range(page)[1] == pytest.approx(tests.time_s[1][-1], abs=0.01)
@@ -205,7 +205,7 @@ def test_a_decimated_curve_reaches_every_extreme(opened):
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [390, 768, 1280])
-def test_nothing_runs_over_the_width_of_the_screen_and_every_plot_is_drawn(opened, width, scheme):
+def test_nothing_overflows_the_screen_and_every_plot_is_drawn(opened, width, scheme):
     page = opened(width, scheme)
     settled(page)
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")

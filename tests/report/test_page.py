@@ -108,7 +108,7 @@ def root(text):
 # --- how it is built ----------------------------------------------------------------------------------------
 
 
-def test_a_page_is_html_in_utf_8_with_a_title_and_a_language(text, root):
+def test_a_page_is_html_with_charset_title_and_language(text, root):
     assert text.lstrip().startswith("<!doctype html>")
     (whole,) = root.all("html")
     assert whole["lang"] == "en"
@@ -126,7 +126,7 @@ def test_headings_begin_with_one_of_the_first_level_and_skip_none(root):
     assert all(after <= before + 1 for before, after in pairwise(levels))
 
 
-def test_identifiers_differ_and_every_link_of_the_contents_leads_to_a_section(root):
+def test_identifiers_differ_and_links_lead_to_sections(root):
     identifiers = [each["id"] for each in root.all() if each.get("id") is not None]
     assert len(identifiers) == len(set(identifiers))
     assert not any(re.search(r"\s", each) for each in identifiers)
@@ -188,7 +188,7 @@ def test_a_figure_has_a_caption_and_an_image_with_a_text(root):
         assert image["aria-label"] == "Error over the horizon."
 
 
-def test_only_what_scrolls_is_reached_by_keyboard_and_says_what_it_is(root):
+def test_only_named_regions_that_scroll_are_reached_by_keyboard(root):
     narrow, wide = root.all("figure")
     assert not any(element.get("tabindex") for element in narrow.all())
     assert next(wide.all("div"))["tabindex"] == "0"
@@ -267,6 +267,6 @@ def test_columns_of_numbers_stand_right_head_and_cells(root):
         (("4f2a9b0e11111111", "4111111111111111"), False),
     ],
 )
-def test_a_column_is_of_numbers_where_every_cell_of_it_is_one(cells, right):
+def test_a_column_of_numbers_has_numbers_only(cells, right):
     found = Table("", ("name", "value"), tuple(("row", cell) for cell in cells)).numeric
     assert found == [False, right]

@@ -110,7 +110,7 @@ def test_black_of_matplotlib_does_not_stay_where_the_page_is_dark(page):
             assert re.search(r"(fill|stroke): *(none|var)", style), ElementTree.tostring(element)
 
 
-def test_an_element_of_a_page_has_shape_and_text_and_no_size(page):
+def test_an_element_of_a_page_has_shape_text_no_size(page):
     for tag in ("<style", "<metadata", "<?xml", "<!DOCTYPE", "<script"):
         assert tag not in page
     root = ElementTree.fromstring(page.encode())  # noqa: S314 - our own
@@ -140,7 +140,7 @@ def test_numbers_that_are_read_keep_all_their_digits(name):
     assert f">{name}</text>" in svg(figure)
 
 
-def test_a_name_that_looks_like_a_colour_or_a_reference_stays_as_it_is():
+def test_a_name_like_a_colour_or_reference_stays_as_it_is():
     name = f'log {COLOURS["ink"]} url(#a) id="x" <b>'
     figure = Figure()
     figure.text(0.1, 0.1, name)

@@ -61,7 +61,7 @@ def test_small_coefficients_are_powers_of_ten_and_ones_are_left_out():
     assert equation(physical_model("integrator", 1.0)).text == "G(s) = 1 / s"
 
 
-def test_the_section_names_structure_units_and_what_is_around_the_transfer_function():
+def test_the_section_names_structure_units_and_nonlinearities():
     plain, around = physical_model("integrator", 30.0), handmade.channel(LIFTING, "integrator", shape=True)
     introduction, written = transfer_function(plain, "mm", "A")
     assert isinstance(written, Equation)

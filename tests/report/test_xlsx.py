@@ -29,12 +29,12 @@ def tree(archive, name):
     return ElementTree.fromstring(archive.read(name))  # noqa: S314 - our own
 
 
-def test_each_table_is_a_sheet_of_its_name_within_the_length_excel_permits(archive):
+def test_each_table_is_a_sheet_named_within_excels_length(archive):
     names = [each.get("name") for each in tree(archive, "xl/workbook.xml").iterfind(".//sheet", SPACE)]
     assert names == ["lifting-tests", "lifting-residuals-by-quantity-a"]
 
 
-def test_numbers_are_numbers_at_full_precision_and_no_text_is_a_formula(archive):
+def test_numbers_keep_full_precision_and_no_text_is_a_formula(archive):
     texts = ["".join(each.itertext()) for each in tree(archive, "xl/sharedStrings.xml")]
     sheet = tree(archive, "xl/worksheets/sheet1.xml")
     assert sheet.find(".//f", SPACE) is None
