@@ -48,7 +48,7 @@ def folder(tmp_path_factory):
 
 def parts(model):
     """Return every array of a model, of what is deployed and of what it is compared with."""
-    compared = {mode: (dict(each.baselines), each.paper) for mode, each in model.rivals.items()}
+    compared = {mode: (dict(fitted.baselines), fitted.paper) for mode, fitted in model.rivals.items()}
     return dict(model.channels), compared
 
 
@@ -84,7 +84,7 @@ def test_a_model_with_every_part_simulates_as_before(tmp_path, make_record):
     save(model, tmp_path / "model")
     up, down = np.repeat([0, 0.9, 0, 0], 60), np.repeat([0, 0, 0, 0.6], 60)
     record = make_record(np.linspace(80.0, 90.0, 240), up, down)
-    found, expected = (each.simulate(record) for each in (load(tmp_path / "model"), model))
+    found, expected = (own.simulate(record) for own in (load(tmp_path / "model"), model))
     np.testing.assert_array_equal(found.displacement, expected.displacement)
     assert found.flags == expected.flags != ()
 

@@ -137,7 +137,7 @@ by_name = pytest.mark.parametrize(
 def test_a_free_run_by_steps_is_the_whole_records(record_of, model):
     commands = np.concatenate([np.zeros((60, 2)), cycles(np.random.default_rng(0), 600)])
     record = record_of(np.full(len(commands), 100.0), commands)
-    load = LOAD if any(each.benchmark.covariates for each in model.channels.values()) else None
+    load = LOAD if any(own.benchmark.covariates for own in model.channels.values()) else None
     found, _ = stepped_singly(model, commands[:-1], load=load)
     np.testing.assert_allclose(found, model.simulate(record).displacement, rtol=0, atol=1e-9)
     assert np.ptp(found) > 5.0
@@ -186,7 +186,7 @@ def test_predictions_by_single_steps_are_those_of_the_whole_record(record_of, na
     measured = 100.0 + np.cumsum(rng.normal(0, 0.1, len(commands)))
     measured[:6] = measured[0]
     record = record_of(measured, commands)
-    load = LOAD if any(each.benchmark.covariates for each in model.channels.values()) else None
+    load = LOAD if any(own.benchmark.covariates for own in model.channels.values()) else None
     expected = model.predict(record, horizon=horizon)
     _, states = stepped_singly(model, commands[:-1], measured, start=measured[0], load=load)
     for origin in range(len(commands) - horizon):
@@ -272,7 +272,7 @@ def test_with_both_valves_on_the_piston_falls(before):
 def test_a_reversal_within_the_dead_time_plays_out_what_was_commanded(late_samples):
     model = hitch_of(*(channel(mode, dead_time_s=late_samples * STEP_S) for mode in GAINS))
     commands = sequence((RISE, 2), (FALL, 8), (RISE, 3), (REST, 10))
-    up, down = (shifted(each, late_samples) for each in SPEED * (commands > 0).T)
+    up, down = (shifted(effective, late_samples) for effective in SPEED * (commands > 0).T)
     modes = [(-1, late_samples), (0, 2), (1, 8), (0, 13 - late_samples)]
     check(model, commands, up, down, modes)
 
@@ -296,7 +296,9 @@ def test_of_unequal_dead_times_each_valve_has_its_own(late_up, late_down):
 def test_a_dead_time_of_broken_samples_moves_by_its_share():
     model = hitch_of(*(channel(mode, dead_time_s=0.037) for mode in GAINS))
     commands = sequence((RISE, 10), (REST, 6), (FALL, 10), (REST, 6))
-    up, down = ((0.3 * shifted(each, 3) + 0.7 * shifted(each, 4)) for each in SPEED * (commands > 0).T)
+    up, down = (
+        (0.3 * shifted(effective, 3) + 0.7 * shifted(effective, 4)) for effective in SPEED * (commands > 0).T
+    )
     check(model, commands, up, down, [(-1, 3), (0, 16), (1, 13)])
 
 
@@ -486,7 +488,7 @@ def lossy(samples, gap):
 def test_untrained_the_first_measurement_after_a_gap_is_enough(gap):
     model = hitch_of(channel(LIFTING, "integrator-first-order", compensated=False))
     commands, measured, gone = lossy(250, gap)
-    found, expected = (stepped(model, commands, each)[0] for each in (gone, measured))
+    found, expected = (stepped(model, commands, samples)[0] for samples in (gone, measured))
     back = 40 + gap
     np.testing.assert_allclose(found[back + 1 :], expected[back + 1 :], rtol=0, atol=250 * EPS * 200)
     assert np.all(found[42 : back + 1] != expected[42 : back + 1])
@@ -497,11 +499,11 @@ def test_two_windows_after_a_gap_a_compensator_has_forgotten_it(gap):
     """All but the sum of errors, which is for ever and here not heard, is of the last two windows."""
     deaf = channel(LIFTING, "integrator-first-order", compensated=True)
     deaf = eqx.tree_at(
-        lambda each: each.compensator.network.cell.weight_ih, deaf, replace_fn=lambda w: w.at[:, -1].set(0.0)
+        lambda own: own.compensator.network.cell.weight_ih, deaf, replace_fn=lambda w: w.at[:, -1].set(0.0)
     )
     model = hitch_of(deaf)
     commands, measured, gone = lossy(250, gap)
-    found, expected = (stepped(model, commands, each)[0] for each in (gone, measured))
+    found, expected = (stepped(model, commands, samples)[0] for samples in (gone, measured))
     # Two samples more: the features hear the errors one and two samples before.
     back = 40 + gap + 2 * WINDOW + 2
     np.testing.assert_allclose(found[back + 1 :], expected[back + 1 :], rtol=0, atol=250 * EPS * 200)
@@ -555,7 +557,9 @@ def test_a_model_of_one_channel_does_not_hear_the_other_command():
     model = hitch_of(channel(LOWERING, "integrator-second-order", compensated=True))
     commands = cycles(np.random.default_rng(8), 150)
     measured = [*[100.0] * 70, *[None] * 80]
-    heard, quiet = (stepped(model, each, measured)[0] for each in (commands, commands * [0, 1]))
+    heard, quiet = (
+        stepped(model, given_commands, measured)[0] for given_commands in (commands, commands * [0, 1])
+    )
     np.testing.assert_array_equal(heard, quiet)
     assert not np.any(stepped(model, commands * [1, 0])[0] != 100.0)
 

@@ -69,7 +69,7 @@ def test_the_ranges_are_those_of_the_samples_that_count(make_record):
     ]
     batch = Batch.of(records, LIFTING, dead_zone=0.3, sign=1)
     found = operating_range_of(batch, ())
-    ranges = {name: (each.lowest.item(), each.highest.item()) for name, each in vars(found).items()}
+    ranges = {name: (ends.lowest.item(), ends.highest.item()) for name, ends in vars(found).items()}
     assert ranges["command"] == pytest.approx((0.0, 0.6))
     assert ranges["displacement"] == (70.0, 90.0)
     assert ranges["load"] == (0.0, 0.0)

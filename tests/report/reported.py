@@ -55,7 +55,9 @@ def predictions(sizes=(300, 250, 280), *, models=MODELS, band=True, seed=0):
     """Return tests of a sine with what models say of them, each a little further off than the one before."""
     rng = np.random.default_rng(seed)
     time_s = tuple(STEP_S * np.arange(size) for size in sizes)
-    actual = tuple(100.0 + 40.0 * np.sin(each) + 0.02 * rng.standard_normal(each.size) for each in time_s)
+    actual = tuple(
+        100.0 + 40.0 * np.sin(seconds) + 0.02 * rng.standard_normal(seconds.size) for seconds in time_s
+    )
     told = {
         name: tuple(y + 0.1 * (1 + place) * rng.standard_normal(y.size).cumsum() for y in actual)
         for place, name in enumerate(models)
@@ -82,11 +84,11 @@ def residuals(*, seed=0, level=None):
     rng = np.random.default_rng(seed)
     sizes = (300, 250)
     command = [np.repeat(rng.uniform(0, 0.5, size // 25), 25) for size in sizes]
-    errors = [0.1 * rng.standard_normal(each.size) + 0.3 * each for each in command]
+    errors = [0.1 * rng.standard_normal(levels.size) + 0.3 * levels for levels in command]
     if level is not None:
-        errors = [np.full(each.size, level) for each in command]
-    displacement = [100.0 + np.cumsum(each) for each in command]
-    speed = [each / STEP_S for each in command]
+        errors = [np.full(levels.size, level) for levels in command]
+    displacement = [100.0 + np.cumsum(levels) for levels in command]
+    speed = [levels / STEP_S for levels in command]
     return residual_tests(errors, command, displacement, speed, step_s=STEP_S)
 
 
@@ -177,10 +179,10 @@ def trace_json(*parameters, iterations=20, candidates=3, phase2=True, notices=("
     return {
         "dead_zone": {"value": 0.35, "spread": 0.01, "count": 2, "origin": "ramps"},
         "phase1": {
-            "uncertainty": {"parameters": [asdict(each) for each in found]},
+            "uncertainty": {"parameters": [asdict(parameter) for parameter in found]},
             "fitness": [None, *(1.5 * falling[1:]).tolist()],
-            "searched": [each.name for each in found],
-            "values": [[(each.value or 0.1) * factor for each in found] for factor in falling],
+            "searched": [parameter.name for parameter in found],
+            "values": [[(parameter.value or 0.1) * factor for parameter in found] for factor in falling],
         },
         "phase2": {
             "training_loss": [None, *np.geomspace(1.0, 0.01, iterations - 1).tolist()],

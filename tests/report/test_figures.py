@@ -381,10 +381,10 @@ def test_places_show_mean_and_spread_of_the_errors_in_each_bin():
 def test_searches_show_every_end_and_the_run_in_the_middle():
     known = reported.searches()
     went, ended = sketch("searches", known, "mm").axes
-    for line, points, each in zip(went.get_lines(), ended.get_lines(), known, strict=True):
-        np.testing.assert_array_equal(line.get_ydata()[1:], each.median_rmse[1:])
+    for line, points, search in zip(went.get_lines(), ended.get_lines(), known, strict=True):
+        np.testing.assert_array_equal(line.get_ydata()[1:], search.median_rmse[1:])
         assert (line.get_xdata()[0], line.get_xdata()[-1]) == (0, 100)
-        assert list(points.get_ydata()) == [end for end in each.rmse if end is not None]
+        assert list(points.get_ydata()) == [end for end in search.rmse if end is not None]
 
 
 def test_losses_show_both_parts_and_the_epoch_that_is_kept():
@@ -400,12 +400,12 @@ def test_structures_show_both_errors_in_the_order_that_was_given():
     candidates = reported.trace(candidates=4).candidates
     axes = sketch("structures", candidates, "mm", None).axes[0]
     by_place = sorted(zip(axes.get_yticks(), (t.get_text() for t in axes.get_yticklabels()), strict=True))
-    names = [f"{each.name}{' (chosen)' if each.chosen else ''}" for each in candidates]
+    names = [f"{candidate.name}{' (chosen)' if candidate.chosen else ''}" for candidate in candidates]
     assert [text for _, text in by_place[::-1]] == [fill(name, 24) for name in names]
     everywhere, held_out = axes.get_lines()
-    np.testing.assert_array_equal(everywhere.get_xdata(), [each.rmse for each in candidates])
+    np.testing.assert_array_equal(everywhere.get_xdata(), [candidate.rmse for candidate in candidates])
     np.testing.assert_array_equal(
-        held_out.get_xdata(), [np.nan, *(each.held_out_rmse for each in candidates[1:])]
+        held_out.get_xdata(), [np.nan, *(candidate.held_out_rmse for candidate in candidates[1:])]
     )
 
 
@@ -517,7 +517,7 @@ def test_the_speed_map_shows_bands_and_points_of_each_load():
             lower, upper = point.interval
             assert {(point.command, lower), (point.command, highest if upper is None else upper)} <= corners
     measured = np.column_stack(lines["measured"].get_data())
-    np.testing.assert_array_equal(measured, [(each.command, each.speed) for each in known.measured])
+    np.testing.assert_array_equal(measured, [(point.command, point.speed) for point in known.measured])
 
 
 def test_the_valve_map_needs_no_ramp_and_no_standing_command(make_record):

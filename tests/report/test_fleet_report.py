@@ -63,7 +63,9 @@ def test_the_verdict_names_who_stands_out_and_how(report):
 def test_the_numbers_of_a_sentence_are_those_of_the_comparison(with_faults):
     comparison = compare_fleet(with_faults)
     cell = comparison.machines.index("tractor-07"), comparison.column("lowering", "gain")
-    sentence = next(each.sentence for each in fleet_findings(comparison) if "tractor-07" in each.sentence)
+    sentence = next(
+        finding.sentence for finding in fleet_findings(comparison) if "tractor-07" in finding.sentence
+    )
     ends = [-100 * np.expm1(end[cell]) for end in (comparison.outliers.lower, comparison.outliers.upper)]
     size = -100 * np.expm1(comparison.outliers.deviation[cell])
     minus = "\N{MINUS SIGN}"
@@ -88,7 +90,7 @@ def test_one_machine_is_too_few():
 
 def test_of_a_fleet_that_failed_there_are_causes_and_costs():
     report = document([fleet_rows.failed_row("a"), fleet_rows.failed_row("b")])
-    assert [each.sentence for each in report.verdict] == [
+    assert [finding.sentence for finding in report.verdict] == [
         "No machine is compared.",
         "2 of 2 machines could not be identified: InputError (2).",
     ]
@@ -100,7 +102,7 @@ def test_of_a_fleet_that_failed_there_are_causes_and_costs():
 def test_many_findings_of_one_kind_are_counted():
     weak = {number: {"gain_factor": 0.7} for number in range(14)}
     report = document(fleet_rows.fleet(80, faults=weak, directions=("lowering",)))
-    sentences = [each.sentence for each in report.verdict]
+    sentences = [finding.sentence for finding in report.verdict]
     named = len(table(report, "Differences, most certain first").rows)
     assert sentences[-1] == f"{named - 10} more: see the table of outliers."
     assert len(sentences) == 12

@@ -112,7 +112,7 @@ def assert_inert(text):
 
 
 def test_a_page_has_the_elements_of_one_with_harmless_texts(documents):
-    hostile, benign = (Elements(render(each, "html").decode()) for each in documents)
+    hostile, benign = (Elements(render(made, "html").decode()) for made in documents)
     assert hostile.elements == benign.elements
     shown = " ".join(" ".join(hostile.texts).split())
     assert all(" ".join(printable(text).split()) in shown for text in STRINGS)
@@ -120,14 +120,14 @@ def test_a_page_has_the_elements_of_one_with_harmless_texts(documents):
 
 
 def test_the_data_of_an_interactive_page_stay_data(documents):
-    hostile, benign = (render(each, "interactive").decode() for each in documents)
+    hostile, benign = (render(made, "interactive").decode() for made in documents)
     assert Elements(hostile).elements == Elements(benign).elements
     (data,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', hostile, re.DOTALL)
     assert [test["name"] for test in json.loads(data)["sections"]["lifting"]] == list(map(printable, STRINGS))
 
 
 def test_a_figure_is_xml_with_the_elements_of_a_harmless_one(documents):
-    hostile, benign = (ElementTree.fromstring(each.pictures[0].svg) for each in documents)  # noqa: S314 - our own
+    hostile, benign = (ElementTree.fromstring(made.pictures[0].svg) for made in documents)  # noqa: S314 - our own
     # Each line of a text is an element of its own.
     known = {element.tag for element in benign.iter()} | {"{http://www.w3.org/2000/svg}tspan"}
     assert {element.tag for element in hostile.iter()} <= known
@@ -140,9 +140,9 @@ def test_the_callers_axes_take_hostile_units_and_keep_their_texts():
     axes = figure.subplots(1, 2)
     axes[0].set_title("$x^2$")
     with canvas(axes, 1, 2, height_in=2.0) as drawn:
-        for each in drawn:
-            each.plot([0, 1], label="$\\frac$")
-            each.set_ylabel("displacement / $\\undefined$ \x1b")
+        for own in drawn:
+            own.plot([0, 1], label="$\\frac$")
+            own.set_ylabel("displacement / $\\undefined$ \x1b")
     figure.savefig(io.BytesIO(), format="png")
     assert axes[0].get_ylabel() == "displacement / $\\undefined$ \\u001b"
     assert axes[0].title.get_parse_math()

@@ -90,8 +90,8 @@ def test_what_diverged_stays_what_it_is():
     wild.models["free_run"][0][5:] = np.inf
     wild.models["free_run"][1][5:] = 1e300
     held = data(page(signals_of(wild)))["sections"]["lifting"]
-    for each in held:
-        (values,) = (decoded(m["values"]) for m in each["models"] if m["key"] == "free_run")
+    for test in held:
+        (values,) = (decoded(m["values"]) for m in test["models"] if m["key"] == "free_run")
         assert np.isinf(values[5:]).all()
         assert np.isfinite(values[:5]).all()
 

@@ -25,15 +25,15 @@ class Element:
 
     def all(self, *tags):
         """Yield every element within, of some tags."""
-        for each in self.inside:
-            if isinstance(each, Element):
-                if not tags or each.tag in tags:
-                    yield each
-                yield from each.all(*tags)
+        for part in self.inside:
+            if isinstance(part, Element):
+                if not tags or part.tag in tags:
+                    yield part
+                yield from part.all(*tags)
 
     @property
     def text(self):
-        return "".join(each if isinstance(each, str) else each.text for each in self.inside)
+        return "".join(part if isinstance(part, str) else part.text for part in self.inside)
 
     def __getitem__(self, name):
         return self.attributes[name]
@@ -76,8 +76,8 @@ class Reader(HTMLParser):
 
 def page(document):
     """Return a report as text; its figures are all the same one."""
-    for each in document.pictures:
-        vars(each)["svg"] = small_figure()
+    for picture in document.pictures:
+        vars(picture)["svg"] = small_figure()
     return render(document, "html").decode()
 
 
@@ -119,7 +119,7 @@ def test_a_page_is_html_with_charset_title_and_language(text, root):
 
 
 def test_headings_begin_with_one_of_the_first_level_and_skip_none(root):
-    levels = [int(each.tag[1]) for each in root.all("h1", "h2", "h3", "h4", "h5", "h6")]
+    levels = [int(heading.tag[1]) for heading in root.all("h1", "h2", "h3", "h4", "h5", "h6")]
     assert levels[0] == 1
     assert levels.count(1) == 1
     assert max(levels) == 4
@@ -127,13 +127,13 @@ def test_headings_begin_with_one_of_the_first_level_and_skip_none(root):
 
 
 def test_identifiers_differ_and_links_lead_to_sections(root):
-    identifiers = [each["id"] for each in root.all() if each.get("id") is not None]
+    identifiers = [element["id"] for element in root.all() if element.get("id") is not None]
     assert len(identifiers) == len(set(identifiers))
-    assert not any(re.search(r"\s", each) for each in identifiers)
+    assert not any(re.search(r"\s", identifier) for identifier in identifiers)
     (nav,) = root.all("nav")
     links = list(nav.all("a"))
-    sections = {each["id"]: each for each in root.all("section")}
-    assert [each.text for each in links] == ["Verdict", "Mixed cycles", "Logs"]
+    sections = {section["id"]: section for section in root.all("section")}
+    assert [link.text for link in links] == ["Verdict", "Mixed cycles", "Logs"]
     for link in links:
         assert link["href"].startswith("#")
         heading = next(sections[link["href"][1:]].all("h2"))
@@ -146,7 +146,7 @@ def test_sections_of_one_name_in_several_have_identifiers_of_their_own():
         for mode in ("Up", "Down")
     )
     root = read(page(replace(reported.document(), sections=both)))
-    identifiers = [each["id"] for each in root.all("section")]
+    identifiers = [section["id"] for section in root.all("section")]
     assert len(set(identifiers)) == 7
 
 
@@ -160,19 +160,19 @@ def test_a_table_has_a_caption_scoped_headers_and_every_cell(root):
         caption = next(table.all("caption"))
         assert caption.text == "Lifting: accuracy"
         head, body = next(table.all("thead")), next(table.all("tbody"))
-        assert [each.text for each in head.all("th")] == list(reported.TABLE.header)
-        assert {each["scope"] for each in head.all("th")} == {"col"}
+        assert [cell.text for cell in head.all("th")] == list(reported.TABLE.header)
+        assert {cell["scope"] for cell in head.all("th")} == {"col"}
         rows = [list(row.all("th", "td")) for row in body.all("tr")]
         assert [tuple(cell.text for cell in row) for row in rows] == list(reported.TABLE.rows)
         for first, *others in rows:
             assert (first.tag, first["scope"]) == ("th", "row")
-            assert {each.tag for each in others} == {"td"}
+            assert {cell.tag for cell in others} == {"td"}
 
 
 def test_a_table_without_a_row_is_still_a_table():
     empty = Table("lifting: nothing", ("model", "RMSE / mm"), ())
     (table, _) = read(page(reported.document(table=empty))).all("table")
-    assert [each.text for each in next(table.all("thead")).all("th")] == ["model", "RMSE / mm"]
+    assert [cell.text for cell in next(table.all("thead")).all("th")] == ["model", "RMSE / mm"]
 
 
 # --- figures ------------------------------------------------------------------------------------------------
@@ -180,7 +180,7 @@ def test_a_table_without_a_row_is_still_a_table():
 
 def test_a_figure_has_a_caption_and_an_image_with_a_text(root):
     figures = list(root.all("figure"))
-    assert [each["id"] for each in figures] == ["figure-curve", "figure-long"]
+    assert [figure["id"] for figure in figures] == ["figure-curve", "figure-long"]
     for figure in figures:
         assert next(figure.all("figcaption")).text == "What is seen."
         (image,) = figure.all("svg")
@@ -206,12 +206,12 @@ def test_only_named_regions_that_scroll_are_reached_by_keyboard(root):
 def test_a_page_runs_nothing_and_asks_for_nothing(text, root):
     assert "<script" not in text
     assert "@import" not in text
-    for each in root.all():
-        assert not [name for name in each.attributes if name.startswith("on")]
+    for element in root.all():
+        assert not [name for name in element.attributes if name.startswith("on")]
         for name in ("src", "href", "xlink:href", "srcset", "action", "data"):
-            target = each.get(name)
-            assert target is None or target.startswith(("#", "data:")), (each.tag, target)
-    assert all(each.startswith("#") for each in re.findall(r"url\(['\"]?([^)'\"]+)", text))
+            target = element.get(name)
+            assert target is None or target.startswith(("#", "data:")), (element.tag, target)
+    assert all(target.startswith("#") for target in re.findall(r"url\(['\"]?([^)'\"]+)", text))
     assert not re.search(r"https?://", text)
 
 

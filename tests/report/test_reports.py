@@ -468,7 +468,7 @@ def test_a_comparison_shows_every_part_that_both_have(compared, pair):
     assert parts[:1] == ["Lifting"]
     assert titles(document.sections)[: len(parts)] == parts
     assert titles(document.sections)[-1] == "How to reproduce"
-    names = [each.name for each in document.pictures]
+    names = [picture.name for picture in document.pictures]
     assert len(names) == len(set(names))
     for part in result.sections:
         assert {f"{part}-overlay", f"{part}-horizons", f"{part}-tests"} <= set(names)
@@ -545,4 +545,4 @@ def test_a_report_of_forty_tests_is_smaller_than_3_megabytes(tmp_path):
     document = validate(PLAIN, campaign).report()
     write_report(tmp_path / "out", document, {"metrics.json": b"{}"}, mark="metrics.json")
     assert (tmp_path / "out" / "report.html").stat().st_size < 3e6
-    assert all(len(each.caption) < 400 for each in document.pictures)
+    assert all(len(picture.caption) < 400 for picture in document.pictures)

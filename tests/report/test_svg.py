@@ -73,7 +73,7 @@ def test_rounding_moves_no_point_by_more_than_a_hundredth():
 def test_text_stays_text(files, page):
     for text in (files["outputs"], page):
         root = ElementTree.fromstring(text.encode())  # noqa: S314 - our own
-        words = {"".join(each.itertext()).strip() for each in root.iter(f"{SVG}text")}
+        words = {"".join(element.itertext()).strip() for element in root.iter(f"{SVG}text")}
         assert {"displacement / mm", "measured", "time, test after test / s"} <= words
 
 
@@ -147,4 +147,4 @@ def test_a_name_like_a_colour_or_reference_stays_as_it_is():
     root = ElementTree.fromstring(  # noqa: S314 - our own
         f'<div xmlns:xlink="{XLINK[1:-1]}">{inline_svg(svg(figure), "one", "")}</div>'.encode()
     )
-    assert name in ["".join(each.itertext()).strip() for each in root.iter("text")]
+    assert name in ["".join(element.itertext()).strip() for element in root.iter("text")]

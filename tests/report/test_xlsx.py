@@ -30,17 +30,17 @@ def tree(archive, name):
 
 
 def test_each_table_is_a_sheet_named_within_excels_length(archive):
-    names = [each.get("name") for each in tree(archive, "xl/workbook.xml").iterfind(".//sheet", SPACE)]
+    names = [element.get("name") for element in tree(archive, "xl/workbook.xml").iterfind(".//sheet", SPACE)]
     assert names == ["lifting-tests", "lifting-residuals-by-quantity-a"]
 
 
 def test_numbers_keep_full_precision_and_no_text_is_a_formula(archive):
-    texts = ["".join(each.itertext()) for each in tree(archive, "xl/sharedStrings.xml")]
+    texts = ["".join(element.itertext()) for element in tree(archive, "xl/sharedStrings.xml")]
     sheet = tree(archive, "xl/worksheets/sheet1.xml")
     assert sheet.find(".//f", SPACE) is None
     cells = {
-        each.get("r"): (each.get("t"), each.findtext("v", None, SPACE))
-        for each in sheet.iterfind(".//c", SPACE)
+        element.get("r"): (element.get("t"), element.findtext("v", None, SPACE))
+        for element in sheet.iterfind(".//c", SPACE)
     }
     assert [texts[int(cells[f"{column}1"][1])] for column in "ABC"] == list(TABLES[0].columns)
     assert texts[int(cells["A2"][1])] == "=1+1"
