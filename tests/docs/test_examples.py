@@ -76,8 +76,8 @@ def block(info: str, text: str, place: str) -> Block:
         options = list(takewhile(lambda line: line.startswith(":"), text.splitlines(keepends=True)))
         text = text[sum(map(len, options)) :].lstrip("\n")
         file = next((o.removeprefix(":caption:").strip() for o in options if o.startswith(":caption:")), None)
-    elif language == "toml" and re.fullmatch(r"# \S+\.toml", text.partition("\n")[0]):
-        file = text.partition("\n")[0].removeprefix("# ")
+    elif language == "toml" and (named := re.match(r"# (\S+\.toml)\n", text)):
+        file = named[1]
     return Block(language, file, text, place)
 
 
@@ -133,37 +133,29 @@ def commands(block: Block) -> Iterator[Command]:
 
 
 def run_command(command: Command, place: str) -> None:
-    """Run one command of the program and compare exit code and output."""
+    """Run a command of the program, the C compiler or what it made, and compare exit code and output."""
     if command.line.startswith(NOT_RUN):
         return
     program, *arguments = shlex.split(command.line)
     if program == "cc" or program.startswith("./"):
-        run_program(command, place)
-        return
-    assert program == "hitchid", f"{place}: a command that is not run: '{command.line}'"
-    standard_input = None
-    if "<" in arguments:
-        index = arguments.index("<")
-        standard_input = Path(arguments[index + 1]).read_text(encoding="utf-8")
-        del arguments[index : index + 2]
-    code, printed = call(arguments, standard_input)
+        if shutil.which("cc") is None:
+            return
+        done = subprocess.run([program, *arguments], capture_output=True, text=True, check=False)  # noqa: S603
+        code, printed = done.returncode, done.stdout + done.stderr
+    else:
+        assert program == "hitchid", f"{place}: a command that is not run: '{command.line}'"
+        standard_input = None
+        if "<" in arguments:
+            index = arguments.index("<")
+            standard_input = Path(arguments[index + 1]).read_text(encoding="utf-8")
+            del arguments[index : index + 2]
+        code, printed = call(arguments, standard_input)
     context = f"{place}: $ {command.line}"
     assert code == command.code, f"{context}\nexit code {code}, expected {command.code}\n{printed}"
     remaining = iter(printed.splitlines())
     for line in command.shown:
         matched = line in ("", OMITTED) or any(alike(line, printed_line) for printed_line in remaining)
         assert matched, f"{context}\ndid not print: {line}\n{printed}"
-
-
-def run_program(command: Command, place: str) -> None:
-    """Run the C compiler, or a program it made, and compare its output; without a compiler nothing is run."""
-    if shutil.which("cc") is None:
-        return
-    done = subprocess.run(shlex.split(command.line), capture_output=True, text=True, check=False)  # noqa: S603
-    assert done.returncode == command.code, f"{place}: $ {command.line}\n{done.stderr}"
-    for line in command.shown:
-        matched = any(alike(line, printed_line) for printed_line in done.stdout.splitlines())
-        assert matched, f"{place}: $ {command.line}\ndid not print: {line}\n{done.stdout}"
 
 
 def call(arguments: list[str], standard_input: str | None) -> tuple[int, str]:
@@ -179,15 +171,10 @@ def call(arguments: list[str], standard_input: str | None) -> tuple[int, str]:
 
 def alike(one: str, other: str) -> bool:
     """Return whether two lines are equal without frames; numbers to 20 %: they depend on the machine."""
-    words, numbers = split(one)
-    others, theirs = split(other)
+    plain = [" ".join(re.sub(r"[\u2500-\u257f]", " ", line).split()) for line in (one, other)]
+    words, others = (NUMBER.sub("#", line) for line in plain)
+    numbers, theirs = (list(map(float, NUMBER.findall(line))) for line in plain)
     return words == others and numbers == pytest.approx(theirs, rel=0.2, abs=1e-9)
-
-
-def split(line: str) -> tuple[str, list[float]]:
-    """Return a line without its frame, with # for every number, and the numbers."""
-    plain = " ".join(re.sub(r"[\u2500-\u257f]", " ", line).split())
-    return NUMBER.sub("#", plain), [float(number[0]) for number in NUMBER.finditer(plain)]
 
 
 def check_toml(block: Block) -> None:

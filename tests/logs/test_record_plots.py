@@ -10,7 +10,7 @@ from hitchid.logs.campaign import Campaign
 from hitchid.logs.kinds import LABELS, segments
 from hitchid.logs.plotting import MAX_TESTS, MAX_TITLE
 from hitchid.logs.record import LIFTING, LOWERING
-from hitchid.plots.signals import SEGMENT_COLOURS
+from hitchid.plots.drawing import SEGMENT_COLOURS
 from plotted import campaign, record
 
 mpl.use("Agg")

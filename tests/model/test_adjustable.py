@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import jax
-import jax.monitoring
 import numpy as np
 import pytest
 
@@ -31,19 +30,20 @@ MODELS = {
 def inputs(seed=0):
     """Return commands, shape [N, 2], and displacements, of which every third is measured, shape [N]."""
     rng = np.random.default_rng(seed)
-    up, down = levels(rng, SAMPLES // 2, low=0.3), levels(rng, SAMPLES // 2, low=0.2)
-    commands = np.stack([np.concatenate([up, 0 * down]), np.concatenate([0 * up, down])], axis=1)
+    commands = np.zeros((SAMPLES, 2))
+    commands[: SAMPLES // 2, 0] = levels(rng, SAMPLES // 2, low=0.3)
+    commands[SAMPLES // 2 :, 1] = levels(rng, SAMPLES // 2, low=0.2)
     moved = START + 0.1 * np.cumsum(commands @ [1.0, -1.0]) + 0.05 * rng.standard_normal(SAMPLES)
     return commands, np.where(np.arange(SAMPLES) % 3 == 0, moved, np.nan)
 
 
 def stepped(step, state, commands, measured):
     """Return the last state and the displacement after each step."""
-    found = []
+    displacements = []
     for command, sample in zip(commands, measured, strict=True):
         state, displacement = step(state, command, sample)
-        found.append(float(displacement))
-    return state, np.array(found)
+        displacements.append(float(displacement))
+    return state, np.array(displacements)
 
 
 @pytest.fixture(scope="module", params=MODELS)
@@ -58,17 +58,17 @@ def pair(request):
 def test_it_steps_as_the_model_that_has_its_numbers(pair):
     model, changed, load, adjustable, tolerance = pair
     runs = []
-    for each in (model, changed, model):
-        state = adjustable.adjust(numbers_of_models(each), model.init_state(START, load))
+    for own in (model, changed, model):
+        state = adjustable.adjust(numbers_of_models(own), model.init_state(START, load))
         _, found = stepped(adjustable.step, state, *inputs())
-        _, expected = stepped(each.step, each.init_state(START, load), *inputs())
+        _, expected = stepped(own.step, own.init_state(START, load), *inputs())
         np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance)
         runs.append(found)
     np.testing.assert_array_equal(runs[2], runs[0])
     assert np.abs(runs[1] - runs[0]).max() > 1e3 * tolerance
 
 
-def test_exchanged_under_way_and_back_again_it_goes_on_from_where_it_is(pair):
+def test_numbers_exchanged_and_back_again_change_nothing_else(pair):
     model, changed, load, adjustable, _ = pair
     (commands, measured), half = inputs(1), SAMPLES // 2
     start = adjustable.adjust(numbers_of_models(model), model.init_state(START, load))
@@ -86,7 +86,7 @@ def test_exchanged_under_way_and_back_again_it_goes_on_from_where_it_is(pair):
     assert abs(moved[0] - rest[0]) < 0.5
 
 
-def test_nothing_is_compiled_for_other_numbers():
+def test_nothing_is_compiled_for_other_numbers(compilations):
     model = handmade.hitch("integrator-first-order", compensated=True, filtered=True)
     rows = [
         np.asarray(numbers_of_models(changed_model(model, {LIFTING: Changes(gain)}))) for gain in (0.1, 0.2)
@@ -94,16 +94,10 @@ def test_nothing_is_compiled_for_other_numbers():
     adjustable = AdjustableHitch(model)
     state = adjustable.adjust(rows[0], model.init_state(START))
     state, _ = adjustable.step(state, np.zeros(2), START)
-    compiled = []
-    jax.monitoring.register_event_duration_secs_listener(
-        lambda name, *_, **__: compiled.append(name) if "compile" in name or "trace" in name else None
-    )
-    try:
+    with compilations() as compiled:
         state = adjustable.adjust(rows[1], state)
         adjustable.step(state, np.array([0.5, 0.0]), START)
-        assert compiled == []
-    finally:
-        jax.monitoring.clear_event_listeners()
+    assert compiled == []
 
 
 @double_precision

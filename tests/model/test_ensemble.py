@@ -41,9 +41,7 @@ def test_in_free_run_noise_and_both_channels_alternatives_add_in_squares(cycle, 
 @pytest.mark.parametrize(
     ("horizon", "typical", "growth", "q"), [(1, 0.5, 0.1, 2.0), (10, 5.0, 0.4, 3.0), (200, 100.0, 8.0, 3.0)]
 )
-def test_ahead_the_half_width_grows_with_the_movement_since_the_measurement(
-    cycle, horizon, typical, growth, q
-):
+def test_ahead_the_half_width_grows_with_the_movement(cycle, horizon, typical, growth, q):
     record, _ = cycle
     lower, upper = MODEL.band(record, horizon=horizon)
     predicted = MODEL.predict(record, horizon=horizon)

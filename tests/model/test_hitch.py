@@ -6,12 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from handmade import DEAD_ZONES, ERROR_STEP, GAINS, hitch
 from hitchid.errors import InputError
 from hitchid.logs.record import CYCLE, LIFTING, LOWERING
+from machine import moved
 from truth import STEP_S, levels
 
 EPS = np.finfo(np.float64).eps
@@ -20,82 +19,24 @@ UP, DOWN = (GAINS[mode] for mode in (LIFTING, LOWERING))
 DEAD_UP, DEAD_DOWN = (DEAD_ZONES[mode] for mode in (LIFTING, LOWERING))
 
 
-def commands_of(pieces, *, rest=0):
-    """Return both commands of pieces (what, level, samples), shape [N] each, with rest before reversals."""
+INTEGRATORS = hitch()
+
+
+def rise_and_fall(rest=10):
+    """Return both commands, shape [N] each: lifting, some samples of rest, lowering."""
     lifting, lowering = np.zeros(SAMPLES), np.zeros(SAMPLES)
-    at, before = 5, "hold"
-    for what, level, samples in pieces:
-        at += rest if "hold" not in (what, before) and what != before else 0
-        before = what
-        if what != "hold":
-            (lifting if what == "up" else lowering)[at : at + samples] = level
-        at += samples
+    lifting[5:65], lowering[65 + rest : 125 + rest] = 0.8, 0.9
     return lifting, lowering
 
 
-def speed_of(lifting, lowering):
-    """Return the speed of two integrators behind their dead zones, mm/s, shape [N]."""
-    return UP * np.maximum(lifting - DEAD_UP, 0) - DOWN * np.maximum(lowering - DEAD_DOWN, 0)
-
-
-def travelled(speed, start=100.0):
-    """Return the integral of a speed held between samples, shape [N]."""
-    return start + STEP_S * np.concatenate([[0.0], np.cumsum(speed)[:-1]])
-
-
-pieces = st.lists(
-    st.tuples(st.sampled_from(["up", "down", "hold"]), st.floats(0.5, 1.0), st.integers(1, 60)),
-    min_size=1,
-    max_size=12,
-)
-INTEGRATORS = hitch()
-SMOOTH = {False: hitch("integrator-first-order"), True: hitch("integrator-first-order", compensated=True)}
-reuse = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-
-
-def assert_exact(make_record, lifting, lowering):
-    exact = travelled(speed_of(lifting, lowering))
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("rest", [0, 10])
+def test_a_reversal_loses_nothing_of_the_command_before_it(make_record, turned, rest):
+    lifting, lowering = rise_and_fall(rest)[:: -1 if turned else 1]
+    exact = moved(100.0, np.stack([lifting, lowering], axis=1))
     found = INTEGRATORS.simulate(make_record(exact, lifting, lowering)).displacement
     # Sums of 250 numbers around 100.
     np.testing.assert_allclose(found, exact, rtol=0, atol=SAMPLES * EPS * 150)
-
-
-@reuse
-@given(pieces=pieces)
-def test_a_cycle_moves_by_the_sum_of_what_its_commands_ask_for(make_record, pieces):
-    assert_exact(make_record, *commands_of(pieces, rest=1))
-
-
-@pytest.mark.parametrize("first", ["up", "down"])
-def test_a_reversal_without_rest_loses_nothing_of_the_last_command_before_it(make_record, first):
-    second = "down" if first == "up" else "up"
-    assert_exact(make_record, *commands_of([(first, 0.9, 40), (second, 0.8, 40)]))
-
-
-@pytest.mark.parametrize("compensated", [False, True])
-@reuse
-@given(pieces=pieces)
-def test_a_free_run_is_continuous_at_mode_changes(make_record, compensated, pieces):
-    lifting, lowering = commands_of(pieces)
-    found = SMOOTH[compensated].simulate(make_record(np.full(SAMPLES, 100.0), lifting, lowering)).displacement
-    # No speed exceeds gain times effective command; the compensator adds σ times the sum of its weights,
-    # twice where it starts afresh from zero.
-    fastest = STEP_S * UP * (1.0 - DEAD_UP)
-    network = hitch(compensated=True).channels[LIFTING].compensator.network
-    said = ERROR_STEP * (float(jnp.abs(network.head.weight).sum()) + abs(float(network.head.bias[0])))
-    assert np.abs(np.diff(found)).max() <= fastest + (said if compensated else 0.0) + 1e-9
-    assert found[0] == pytest.approx(100.0, abs=1e-12)
-
-
-def test_lowering_counts_where_both_commands_are_effective(make_record):
-    lifting, lowering = commands_of([("up", 0.8, 60), ("hold", 0.0, 10), ("down", 0.9, 60)])
-    lifting[75:100] = 0.7
-    alone = commands_of([("up", 0.8, 60), ("hold", 0.0, 10), ("down", 0.9, 60)])[0]
-    record = make_record(np.full(SAMPLES, 100.0), lifting, lowering)
-    exact = travelled(speed_of(alone, lowering))
-    np.testing.assert_allclose(
-        INTEGRATORS.simulate(record).displacement, exact, rtol=0, atol=SAMPLES * EPS * 150
-    )
 
 
 @pytest.mark.parametrize("compensated", [None, False])
@@ -119,25 +60,16 @@ def test_an_untrained_compensator_moves_the_benchmark_to_the_last_measurement(
 
 
 @pytest.mark.parametrize("structure", ["integrator", "integrator-first-order", "integrator-second-order"])
-@pytest.mark.parametrize("command", [0.0, 0.3, 0.35])
-def test_a_command_within_the_dead_zone_leaves_the_piston_standing(make_record, structure, command):
-    record = make_record(np.full(SAMPLES, 87.5), np.full(SAMPLES, command), np.zeros(SAMPLES))
+def test_a_command_within_the_dead_zone_leaves_the_piston_standing(make_record, structure):
+    command = np.resize(np.repeat([0.0, 0.3, DEAD_UP], 9), SAMPLES)
+    record = make_record(np.full(SAMPLES, 87.5), command, np.zeros(SAMPLES))
     np.testing.assert_array_equal(hitch(structure).simulate(record).displacement, np.full(SAMPLES, 87.5))
 
 
-def test_the_benchmark_does_not_pass_its_end_stop(make_record):
-    model = hitch(modes=(LIFTING,), end_stop=110.0)
-    command = np.full(SAMPLES, 0.85)
-    found = model.simulate(make_record(np.full(SAMPLES, 100.0), command)).displacement
-    exact = np.minimum(travelled(np.full(SAMPLES, UP * 0.5)), 110.0)
-    assert exact[-1] == 110.0
-    np.testing.assert_allclose(found, exact, rtol=0, atol=SAMPLES * EPS * 150)
-
-
-def test_other_units_give_the_same_motion_in_the_units_of_the_record(make_record):
+def test_other_units_give_the_same_motion_in_those_units(make_record):
     model = hitch("integrator-first-order", compensated=True)
-    lifting, lowering = commands_of([("up", 0.8, 60), ("hold", 0.0, 10), ("down", 0.9, 60)])
-    measured = travelled(speed_of(lifting, lowering))
+    lifting, lowering = rise_and_fall()
+    measured = moved(100.0, np.stack([lifting, lowering], axis=1))
     ours = make_record(measured, lifting, lowering)
     theirs = replace(
         make_record(measured / 1000.0, 1000.0 * lifting, 1000.0 * lowering),
@@ -153,9 +85,9 @@ def test_other_units_give_the_same_motion_in_the_units_of_the_record(make_record
         model.simulate(wrong)
 
 
-def test_a_record_at_twice_the_rate_is_resampled_and_answered_at_its_own(make_record):
-    lifting, lowering = commands_of([("up", 0.8, 60), ("hold", 0.0, 10), ("down", 0.9, 60)])
-    exact = travelled(speed_of(lifting, lowering))
+def test_a_record_at_twice_the_rate_is_answered_at_it(make_record):
+    lifting, lowering = rise_and_fall()
+    exact = moved(100.0, np.stack([lifting, lowering], axis=1))
     slow = make_record(exact, lifting, lowering)
     fast = make_record(np.repeat(exact, 2), np.repeat(lifting, 2), np.repeat(lowering, 2), step_s=0.005)
     found = INTEGRATORS.simulate(fast).displacement
@@ -165,24 +97,21 @@ def test_a_record_at_twice_the_rate_is_resampled_and_answered_at_its_own(make_re
 
 
 @pytest.mark.parametrize("drift", [0.002, -0.002])
-def test_a_clock_that_differs_by_less_than_a_sample_over_the_record_is_answered_at_its_own(
-    make_record, drift
-):
+def test_a_slightly_different_clock_is_answered_at_its_own(make_record, drift):
     # Constant speed, so that interpolation is exact; the clocks part by half a sample in the end.
     step_s = STEP_S * (1 + drift)
     command = np.where(np.arange(SAMPLES) < 5, 0.0, 0.85)
     record = make_record(np.full(SAMPLES, 100.0), command, 0 * command, step_s=step_s)
     found = INTEGRATORS.simulate(record).displacement
-    late = (found[-3] - found[-53]) / (50 * step_s)
-    assert late == pytest.approx(UP * 0.5, rel=1e-6)
+    assert (found[-3] - found[-53]) / (50 * step_s) == pytest.approx(UP * 0.5, rel=1e-6)
 
 
-def test_a_model_of_one_channel_refuses_a_record_that_needs_the_other(make_record):
+def test_a_model_of_one_channel_refuses_the_others_records(make_record):
     model = hitch(modes=(LIFTING,))
-    lifting, lowering = commands_of([("up", 0.8, 60), ("hold", 0.0, 10), ("down", 0.9, 60)])
+    lifting, lowering = rise_and_fall()
     record = make_record(np.full(SAMPLES, 100.0), lifting, lowering)
-    for kind, signals in ((CYCLE, (lifting, lowering)), (LOWERING, (0 * lifting, lowering))):
-        other = replace(make_record(record.displacement, *signals), kind=kind)
+    others = [replace(record, kind=CYCLE), make_record(record.displacement, 0 * lifting, lowering)]
+    for other in (record, others[0], replace(others[1], kind=LOWERING)):
         for run in (model.simulate, model.predict):
             with pytest.raises(InputError, match="no lowering channel"):
                 run(other)
@@ -190,23 +119,17 @@ def test_a_model_of_one_channel_refuses_a_record_that_needs_the_other(make_recor
         model.simulate(make_record(record.displacement, None, lowering))
 
 
-def test_a_model_of_one_channel_refuses_an_effective_command_it_cannot_hear_whatever_the_kind(make_record):
-    lifting, lowering = commands_of([("up", 0.8, 60), ("hold", 0.0, 10), ("down", 0.9, 60)])
-    with pytest.raises(InputError):
-        hitch(modes=(LIFTING,)).simulate(make_record(np.full(SAMPLES, 100.0), lifting, lowering))
-
-
-@pytest.mark.parametrize("horizon", [0, -1])
-def test_a_horizon_below_one_sample_is_refused(make_record, horizon):
+def test_a_horizon_below_one_sample_is_refused(make_record):
     record = make_record(np.full(SAMPLES, 100.0), np.zeros(SAMPLES), np.zeros(SAMPLES))
-    with pytest.raises(InputError, match=f"horizon: .*at least 1.* {horizon}"):
-        INTEGRATORS.predict(record, horizon=horizon)
+    for horizon in (0, -1):
+        with pytest.raises(InputError, match=f"horizon: .*at least 1.* {horizon}"):
+            INTEGRATORS.predict(record, horizon=horizon)
 
 
 def test_a_caller_in_single_precision_gets_double_and_stays_in_single(make_record):
-    lifting, lowering = commands_of([("up", 0.8, 60), ("hold", 0.0, 10), ("down", 0.9, 60)])
-    record = make_record(travelled(speed_of(lifting, lowering)), lifting, lowering)
-    model = SMOOTH[True]
+    lifting, lowering = rise_and_fall()
+    record = make_record(moved(100.0, np.stack([lifting, lowering], axis=1)), lifting, lowering)
+    model = hitch("integrator-first-order", compensated=True)
     expected = model.simulate(record).displacement, model.predict(record)
     with jax.enable_x64(False):
         found = model.simulate(record).displacement, model.predict(record)
@@ -215,11 +138,3 @@ def test_a_caller_in_single_precision_gets_double_and_stays_in_single(make_recor
     for ours, theirs in zip(found, expected, strict=True):
         assert ours.dtype == np.float64
         np.testing.assert_array_equal(ours, theirs)
-
-
-def test_dead_zones_are_told_by_mode_and_mappings_are_frozen():
-    assert INTEGRATORS.dead_zones == DEAD_ZONES
-    with pytest.raises(TypeError):
-        INTEGRATORS.channels[LIFTING] = None
-    with pytest.raises(TypeError):
-        INTEGRATORS.units["displacement"] = "m"

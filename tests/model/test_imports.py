@@ -1,10 +1,8 @@
-"""A deployed model is loaded without what identified it."""
+"""A deployed model is loaded without what identified it, and nothing is drawn before a plot is asked for."""
 
 import json
 import subprocess
 import sys
-
-import pytest
 
 from handmade import hitch
 from hitchid.model import save
@@ -22,20 +20,19 @@ IDENTIFICATION = (
 SCRIPT = """
 import json, sys
 import hitchid.model
-for folder in sys.argv[1:]:
-    hitchid.model.load(folder)
-print(json.dumps(sorted(sys.modules)))
+hitchid.model.load(sys.argv[1])
+loaded = sorted(sys.modules)
+import hitchid.logs.campaign, hitchid.validation
+print(json.dumps([loaded, sorted(sys.modules)]))
 """
 
 
-@pytest.mark.parametrize("loaded", [False, True], ids=["imported", "loaded"])
-def test_the_model_needs_no_search_no_checkpoint_and_no_optimiser(tmp_path, loaded):
-    folders = []
-    if loaded:
-        save(hitch(compensated=True, free_run=True), tmp_path / "model")
-        folders = [str(tmp_path / "model")]
-    command = [sys.executable, "-c", SCRIPT, *folders]
+def test_a_model_needs_no_search_and_no_result_needs_matplotlib(tmp_path):
+    save(hitch(compensated=True, free_run=True), tmp_path / "model")
+    command = [sys.executable, "-c", SCRIPT, str(tmp_path / "model")]
     run = subprocess.run(command, capture_output=True, check=True, text=True)  # noqa: S603
-    modules = json.loads(run.stdout)
-    assert "hitchid.model.hitch" in modules
-    assert [name for name in IDENTIFICATION if name in modules] == []
+    loaded, validating = json.loads(run.stdout)
+    assert "hitchid.model.hitch" in loaded
+    assert [name for name in IDENTIFICATION if name in loaded] == []
+    assert "hitchid.validation.validation" in validating
+    assert "matplotlib" not in validating

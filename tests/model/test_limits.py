@@ -11,7 +11,7 @@ from hitchid.model import TravelLimits
 displacements = st.floats(-1e6, 1e6)
 
 
-def test_where_no_stop_was_seen_the_limit_is_a_tenth_of_the_range_beyond_the_logs(make_record):
+def test_without_a_stop_the_limit_is_a_tenth_beyond_the_logs(make_record):
     records = [
         make_record(np.array([20.0, 40.0]), np.zeros(2)),
         make_record(np.array([30.0, 70.0]), np.zeros(2)),
@@ -22,7 +22,7 @@ def test_where_no_stop_was_seen_the_limit_is_a_tenth_of_the_range_beyond_the_log
 
 
 @given(st.lists(displacements, min_size=1, max_size=9), displacements)
-def test_what_is_held_lies_within_the_limits_or_the_start_beyond_them(samples, start):
+def test_clipped_displacements_lie_within_limits_or_start(samples, start):
     limits = TravelLimits(-3.0, 8.0)
     held = np.asarray(limits.clip(jnp.asarray(samples), jnp.asarray(start)))
     assert np.all(held >= min(-3.0, start) - 1e-6 * abs(start))
@@ -39,6 +39,6 @@ def test_what_is_held_lies_within_the_limits_or_the_start_beyond_them(samples, s
         (TravelLimits(0.0, 10.0, lower_stop=True, upper_stop=True), [False, False, False]),
     ],
 )
-def test_a_limit_that_is_no_stop_is_told_where_it_is_reached(limits, expected):
+def test_a_limit_that_is_no_stop_is_flagged_where_reached(limits, expected):
     assert limits.at_soft_limit(np.array([0.0, 5.0, 10.0])).tolist() == expected
     assert ("mechanical stop" in limits.sentence("mm")) == (limits.lower_stop or limits.upper_stop)

@@ -1,16 +1,22 @@
-"""The linear model about an operating point: transfer function, draws, and play against a simulated one."""
+"""The linear model about an operating point, as it is and as scipy and python-control have it."""
 
+import json
+import subprocess
+import sys
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import signal
 
 import handmade
 from hitchid.errors import InputError
 from hitchid.handover.linear import describing_function
+from hitchid.handover.responses import frequency_response
 from hitchid.logs.record import LIFTING, LOWERING
-from hitchid.model import Estimate, Estimates, Uncertainty
+from hitchid.model import Estimates, Uncertainty, save
+from hitchid.structures import PhysicalModel, structure_named
+from report import reported
 
 DEAD_TIME_S = 0.0317
 SPREAD = 0.1  # standard error of the logarithm of the gain
@@ -18,27 +24,12 @@ DRAWS = 2000
 FREQUENCY_HZ = np.geomspace(0.05, 10.0, 25)
 
 
-def uncertain(model):
-    """Return a model whose gain in each direction has a standard error."""
+def uncertain(model, spread=SPREAD):
+    """Return a model whose gain in each direction has a standard error, unless its spread is None."""
     known = {}
     for direction in model.channels:
         gain = handmade.GAINS[direction]
-        estimate = Estimate(
-            "gain",
-            "K",
-            "mm/(s·A)",
-            gain,
-            SPREAD * gain,
-            (None, None),
-            "",
-            None,
-            1e-6,
-            1e6,
-            False,
-            True,
-            "",
-            0.0,
-        )
+        estimate = reported.estimate(value=gain, error=spread and spread * gain, interval=(None, None))
         known[direction] = Uncertainty(Estimates((estimate,), (), ((1.0,),), 5, 5))
     return replace(model, uncertainty=known)
 
@@ -48,29 +39,27 @@ def response(found):
     return found.magnitude.value * np.exp(1j * found.phase_rad.value)
 
 
-def of_matrices(system, s):
+def of_matrices(system, frequencies):
     """Return C (s − A)⁻¹ B at complex frequencies."""
+    identity = np.eye(len(system.A))
     return np.array(
-        [
-            (system.C @ np.linalg.solve(point * np.eye(len(system.A)) - system.A, system.B)).item()
-            for point in s
-        ]
+        [(system.C @ np.linalg.solve(s * identity - system.A, system.B)).item() for s in frequencies]
     )
 
 
 @pytest.mark.parametrize("direction", [LIFTING, LOWERING])
-def test_without_nonlinearities_it_is_the_identified_transfer_function(direction):
+def test_without_nonlinearities_it_is_the_channels_response(direction):
     model = handmade.hitch("integrator-second-order", dead_time_s=DEAD_TIME_S)
     linear = model.linearise(direction)
-    benchmark = model.channels[direction].benchmark
-    values = tuple(map(float, benchmark.values))
-    omega = 2 * np.pi * FREQUENCY_HZ
-    _, rational = signal.freqs(*benchmark.structure.transfer_function(values), omega)
-    found = response(linear.frequency_response(FREQUENCY_HZ))
-    np.testing.assert_allclose(found, rational * np.exp(-1j * omega * DEAD_TIME_S), rtol=1e-9)
+    found = linear.frequency_response(FREQUENCY_HZ)
+    # Which is compared with scipy's in `test_responses.py`.
+    expected = frequency_response(model.channels[direction], FREQUENCY_HZ, None, None)
+    np.testing.assert_allclose(response(found), response(expected), rtol=1e-9)
     assert linear.gain.value == pytest.approx(linear.sign * handmade.GAINS[direction], rel=1e-12)
     assert linear.drawn is None
     assert linear.models() == ()
+    # Lowering falls.
+    assert np.sign(model.to_scipy(direction, 0.01).C[0, 0]) == linear.sign == handmade.DIRECTIONS[direction]
 
 
 def test_the_continuous_model_has_the_dead_time_up_to_its_approximation():
@@ -82,7 +71,7 @@ def test_the_continuous_model_has_the_dead_time_up_to_its_approximation():
     np.testing.assert_allclose(of_matrices(linear.to_scipy(), 2j * np.pi * slow), exact, rtol=1e-7)
 
 
-def test_drawn_models_have_the_spread_of_the_estimates_and_the_rest_of_the_model():
+def test_drawn_models_have_the_spread_of_the_estimates():
     model = uncertain(handmade.hitch("integrator-first-order", dead_time_s=DEAD_TIME_S))
     linear = model.linearise(LOWERING, draws=DRAWS)
     logarithms = np.log(np.abs(linear.drawn.gain * linear.drawn.b[:, -1]))
@@ -106,19 +95,13 @@ def test_drawn_models_have_the_spread_of_the_estimates_and_the_rest_of_the_model
 
 
 def test_a_model_without_standard_errors_has_no_draws():
-    model = uncertain(handmade.hitch("integrator-first-order"))
-    unknown = {
-        direction: Uncertainty(
-            replace(known.benchmark, parameters=(replace(known.benchmark.parameters[0], error=None),))
-        )
-        for direction, known in model.uncertainty.items()
-    }
-    linear = replace(model, uncertainty=unknown).linearise(LIFTING)
+    model = uncertain(handmade.hitch("integrator-first-order"), spread=None)
+    linear = model.linearise(LIFTING)
     assert linear.drawn is None
     assert linear.gain.lower is None
 
 
-def test_the_gain_is_the_slope_of_the_steady_speed_at_the_operating_point():
+def test_the_gain_is_the_slope_of_the_steady_speed():
     model = handmade.hitch_of(handmade.channel(LIFTING, "integrator-second-order", shape=True))
     at = {"displacement": 90.0, "load": 130.0}
     step = 1e-5
@@ -146,7 +129,7 @@ def test_the_describing_function_is_the_fundamental_of_a_simulated_play():
     assert describing_function(play, play) == 0
 
 
-def test_a_sine_within_the_play_moves_nothing_and_a_large_one_as_if_there_were_none():
+def test_a_sine_within_the_play_moves_nothing_a_large_one_all():
     model = handmade.hitch_of(handmade.channel(LIFTING, "integrator-first-order", shape=True))
     linear = model.linearise(load=120.0)
     assert linear.play > 0
@@ -169,3 +152,153 @@ def test_bad_arguments_are_named():
         model.linearise(LIFTING).frequency_response(amplitude=-1.0)
     with pytest.raises(InputError, match=r"displacement: .* number"):
         model.linearise(LIFTING, displacement=np.inf)
+
+
+# --- as scipy and python-control have it: steps of 60 s in a process without x64 ----------------------------
+
+CHILD = """
+import json, sys
+from dataclasses import replace
+from pathlib import Path
+import jax
+import numpy as np
+from scipy import signal
+import hitchid
+
+assert not jax.config.jax_enable_x64
+LENGTH_S = 60.0
+
+
+def simulated(model, direction, command):
+    n = command.size
+    signals = {"displacement": np.full(n, 100.0), f"{direction}_command": command}
+    if model.channels[direction].benchmark.covariates:
+        signals["pressure"] = np.full(n, 120.0)
+    units = {role: model.units[role] for role in signals}
+    return np.asarray(model.simulate(hitchid.Record("step", model.step_s, signals, units), compensated=False))
+
+
+def stepped(model, low, high):
+    # One sample of rest, which gives the initial displacement.
+    n = round(LENGTH_S / model.step_s)
+    command = np.full(n, high)
+    command[0] = 0.0
+    command[1 : n // 6] = low
+    return command
+
+
+def linear_error(model, direction):
+    system = model.to_scipy(direction, model.step_s)
+    dead_zone = model.channels[direction].dead_zone
+    command = stepped(model, dead_zone + 0.1, dead_zone + 0.2)
+    _, found, _ = signal.dlsim(system, np.maximum(command - dead_zone, 0.0))
+    expected = simulated(model, direction, command) - 100.0
+    return float(np.max(np.abs(found.ravel() - expected)) / np.max(np.abs(expected)))
+
+
+def operating_error(model, direction, size):
+    base = model.channels[direction].dead_zone + 0.3
+    low, high = stepped(model, base, base), stepped(model, base, base + size)
+    system = model.to_control(direction, model.step_s, command=base, displacement=100.0, load=120.0)
+    _, found, _ = signal.dlsim((system.A, system.B, system.C, system.D, system.dt), high - low)
+    expected = simulated(model, direction, high) - simulated(model, direction, low)
+    return float(np.max(np.abs(found.ravel() - expected)) / np.max(np.abs(expected)))
+
+
+errors = {}
+for path in sorted(Path(sys.argv[1]).iterdir()):
+    original = hitchid.load(path)
+    for step_s in (0.001, 0.01):
+        model = replace(original, step_s=step_s)
+        for direction in model.channels:
+            key = f"{path.name} {direction} {step_s}"
+            if path.name == "curved":
+                errors[key] = [operating_error(model, direction, size) for size in (2e-3, 1e-3, 5e-4)]
+            else:
+                errors[key] = linear_error(model, direction)
+print(json.dumps(errors))
+"""
+STRUCTURES = ("integrator", "first-order-lag", "integrator-first-order", "integrator-second-order")
+SLOW = 1e-4  # factor on the gain, such that 60 s of motion are a small part of the stroke
+
+
+@pytest.fixture(scope="module")
+def errors(tmp_path_factory):
+    """Return the relative errors of a fresh process, model, direction and sampling time to error."""
+    folder = tmp_path_factory.mktemp("linear")
+    for structure in STRUCTURES:
+        save(handmade.hitch(structure, dead_time_s=0.0374), folder / structure)
+    curved = handmade.hitch_of(
+        handmade.channel(LIFTING, "integrator-second-order", dead_time_s=0.0374, shape=True)
+    )
+    save(curved.with_parameters(lifting={"gain": SLOW * handmade.GAINS[LIFTING]}), folder / "curved")
+    done = subprocess.run([sys.executable, "-c", CHILD, str(folder)], capture_output=True, text=True)  # noqa: S603
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.mark.long
+def test_a_step_of_60_s_agrees_with_the_simulation(errors):
+    linear = {key: error for key, error in errors.items() if not key.startswith("curved")}
+    assert len(linear) == 2 * 2 * len(STRUCTURES)
+    assert {key: error for key, error in linear.items() if not error <= 1e-6} == {}
+
+
+@pytest.mark.long
+def test_a_small_step_agrees_to_the_order_of_its_size(errors):
+    curved = {key: np.array(error) for key, error in errors.items() if key.startswith("curved")}
+    assert len(curved) == 2
+    # The operating point in shares of U = 1.2 A beyond the opening d = 0.1, at mean load (120 bar), with
+    # exponent n = 1.5 and saturation σ = 2: v = a^n, w = v (1 + (v/σ)⁴)^(-1/4).
+    above_opening = 0.3 / 1.2 - 0.1
+    for found in curved.values():
+        sizes = np.array([2e-3, 1e-3, 5e-4]) / 1.2
+        # w''/(2 w') = (n − 1)/(2 a); saturation and higher orders change it by less than a tenth.
+        curvature = 0.5 / (2 * above_opening) * sizes
+        # The nominal motion of 60 s, and the gain's change along it: |d ln g/dξ| ≤ 0.2 + 2·0.1·|ξ| < 0.21 at
+        # mid stroke, ξ within 60 s K w g/span with g < 1.1.
+        travel = 60 * SLOW * 30.0 * 1.2 * above_opening**1.5 * 1.1
+        drift = 0.21 * travel / 60.0
+        assert np.all(found <= 1.1 * curvature + drift)
+        # Halved step, halved error beyond that of the stroke, which is the same.
+        assert np.all(np.abs(np.diff(found)) >= 0.5 * np.abs(np.diff(curvature)))
+
+
+def test_the_continuous_model_is_the_limit_of_the_discrete_one():
+    model = handmade.hitch_of(handmade.channel(LIFTING, "integrator-first-order", shape=True))
+    point = {"command": 0.8, "displacement": 90.0, "load": 130.0}
+    continuous = model.to_scipy(step_s=None, **point)
+    step_s = 1e-5
+    fine = model.to_scipy(step_s=step_s, **point)
+    omega = np.array([0.5, 5.0, 50.0])
+    exact, found = of_matrices(continuous, 1j * omega), of_matrices(fine, np.exp(1j * omega * step_s))
+    # A held command and a held flow are late by half a sample each: ω h/2 of phase each.
+    assert np.all(np.abs(found / exact - 1) <= 1.1 * omega * step_s)
+
+
+def test_nonlinear_structures_and_closed_valves_are_refused():
+    model = handmade.hitch(shape=True)
+    with pytest.raises(InputError, match=r"beyond the dead zone, where the valve opens; got 0\.05"):
+        model.to_control(LIFTING, 0.01, command=handmade.DEAD_ZONES[LIFTING] + 0.05)
+    with pytest.raises(InputError, match=r"beyond the dead zone of 0.35, got 0.3"):
+        model.to_control(LIFTING, 0.01, command=0.3)
+    with pytest.raises(InputError, match="direction: expected one of lifting, lowering"):
+        model.to_control(step_s=0.01)
+    structure = structure_named("cascaded-tanks")
+    benchmark = PhysicalModel(structure, jnp.ones(len(structure.parameters)), jnp.zeros(()))
+    tanks = handmade.hitch_of(replace(handmade.channel(LIFTING), benchmark=benchmark))
+    with pytest.raises(InputError, match=r"nonlinear structure 'cascaded-tanks'.*use `simulate`"):
+        tanks.to_control(step_s=0.01)
+    for call in (lambda: tanks.speed(1.0), lambda: tanks.inverse_table()):
+        with pytest.raises(InputError, match=r"nonlinear structure 'cascaded-tanks'.*constant command"):
+            call()
+
+
+def test_the_default_operating_point_is_open_for_any_opening():
+    channel = handmade.channel(LIFTING, shape=True)
+    curves = channel.benchmark.nonlinearity
+    late = replace(curves, values=curves.values.at[0].set(0.9))
+    model = handmade.hitch_of(replace(channel, benchmark=replace(channel.benchmark, nonlinearity=late)))
+    command = handmade.DEAD_ZONES[LIFTING] + 1.2 * (0.9 + 1) / 2
+    at = {"command": command, "displacement": 100.0, "load": 120.0}
+    np.testing.assert_allclose(model.to_scipy(step_s=0.01).C, model.to_scipy(step_s=0.01, **at).C, rtol=1e-14)

@@ -36,7 +36,7 @@ def drawn_vectors(direction, seed=0):
     return draw_parameters(MODEL.channels[direction].benchmark, known, DRAWS, seed)
 
 
-def test_the_speed_map_shows_both_directions_with_bands_measured_points_and_dead_zone():
+def test_the_speed_map_shows_bands_measured_points_and_dead_zones():
     lifting, lowering = MODEL.plot(axes_of(2))
     assert set(lines(lifting)) == {"benchmark", "measured", "dead zone"}
     assert set(lines(lowering)) == {"90", "120", "measured", "dead zone"}
@@ -52,10 +52,14 @@ def test_the_speed_map_shows_both_directions_with_bands_measured_points_and_dead
     assert (zone.get_x(), zone.get_x() + zone.get_width()) == pytest.approx(known.dead_zone.interval)
 
 
-def test_a_new_speed_map_is_titled_with_direction_and_load():
+def test_without_arguments_every_direction_has_its_levels_load_and_title():
+    titles = ["lifting, 95 % bands", "lowering, 95 % bands"]
+    for axes, title in zip(MODEL.plot_step_response()[:2], titles, strict=True):
+        assert axes.get_title(loc="left") == title
+        assert set(lines(axes)) == {"0.4 A", "0.6 A", "0.8 A"}
     model = replace(MODEL, units={**MODEL.units, "pressure": "bar"})
-    titles = [axes.get_title(loc="left") for axes in model.plot()]
-    assert titles == ["lifting, 95 % bands", "lowering, by pressure / bar, 95 % bands"]
+    titles[1] = "lowering, by pressure / bar, 95 % bands"
+    assert [axes.get_title(loc="left") for axes in model.plot()] == titles
 
 
 def test_a_model_without_intervals_shows_the_speed_that_its_parameters_give():
@@ -74,7 +78,7 @@ def test_a_speed_map_that_is_not_known_is_refused():
         handmade.hitch().plot(axes_of(2))
 
 
-def test_the_step_response_shows_travel_above_speed_with_the_bands_of_the_draws():
+def test_the_step_response_shows_travel_and_speed_with_bands():
     travel, speed = MODEL.plot_step_response(LIFTING, [0.5, 0.7], duration_s=1.0, axes=axes_of(2), seed=3)
     expected = step_responses(MODEL.channels[LIFTING], [0.5, 0.7], 1.0, drawn_vectors(LIFTING, seed=3))
     assert [line.get_label() for line in travel.get_lines()] == ["0.5 A", "0.7 A"]
@@ -92,17 +96,7 @@ def test_the_step_response_shows_travel_above_speed_with_the_bands_of_the_draws(
     assert (travel.get_ylabel(), speed.get_ylabel()) == ("travel / mm", "speed / (mm/s)")
 
 
-def test_without_arguments_every_direction_has_the_levels_of_its_speed_map():
-    axes = MODEL.plot_step_response()
-    assert [each.get_title(loc="left") for each in axes[:2]] == [
-        "lifting, 95 % bands",
-        "lowering, 95 % bands",
-    ]
-    for each in axes[:2]:
-        assert set(lines(each)) == {"0.4 A", "0.6 A", "0.8 A"}
-
-
-def test_the_bode_diagram_shows_decibels_and_degrees_with_the_bands_of_the_draws():
+def test_the_bode_diagram_shows_decibels_and_degrees_with_bands():
     frequency_hz = [0.1, 1.0, 10.0]
     magnitude, phase = MODEL.plot_bode(frequency_hz=frequency_hz, axes=axes_of(2))
     for number, direction in enumerate((LIFTING, LOWERING)):

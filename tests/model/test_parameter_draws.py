@@ -7,17 +7,17 @@ import pytest
 
 import handmade
 from hitchid.logs.record import LIFTING
-from hitchid.model import Estimate, Estimates
+from hitchid.model import Estimates
 from hitchid.model.parameter_draws import draw_parameters
+from report import reported
 
 COUNT = 20_000
 GAIN, OMEGA, DAMPING = handmade.GAINS[LIFTING], *handmade.VALUES["integrator-second-order"]
 
 
-def estimate(name, value, error, *, linear=False, lower=1e-6, upper=1e6):
-    return Estimate(
-        name, name, "1", value, error, (None, None), "", None, lower, upper, linear, True, "", 0.0
-    )
+def estimate(name, value, error, *, lower=1e-6, upper=1e6, **options):
+    bounds = {"interval": (None, None), "lower": lower, "upper": upper}
+    return reported.estimate(name, value=value, error=error, **bounds, **options)
 
 
 def estimates(*parameters, correlation=None):

@@ -53,7 +53,9 @@ def model():
         provenance=provenance,
     )
     whole = with_bands(whole, "lifting", "lowering")
-    estimates = known_estimates(*(each for each in ESTIMATES if each.name in ("gain", "natural_frequency")))
+    estimates = known_estimates(
+        *(estimate for estimate in ESTIMATES if estimate.name in ("gain", "natural_frequency"))
+    )
     estimates = replace(estimates, correlation=((1.0, 0.3), (0.3, 1.0)))
     speeds = replace(characteristics(), load="pressure")
     known = {

@@ -36,32 +36,20 @@ def made_up():
     command = rng.uniform(0, 1, SAMPLES)
     benchmark = 80 + np.cumsum(0.2 * command)
     displacement = benchmark + np.cumsum(0.05 * rng.standard_normal(SAMPLES))
-    return Sample(*(jnp.asarray(each) for each in (time_s, command, benchmark, displacement)))
+    return Sample(*map(jnp.asarray, (time_s, command, benchmark, displacement)))
 
 
 def by_hand(made_up):
     """Return the ten features by a plain loop, shape [N, 10]."""
-    t, u, y_tf, y = (np.asarray(each) for each in made_up)
-    e = [float(measured - modelled) for measured, modelled in zip(y, y_tf, strict=True)]
+    t, u, y_tf, y = map(np.asarray, made_up)
+    e = [0.0, 0.0, *(y - y_tf)]  # of two samples before the first, too
     rows, total = [], 0.0
     for i in range(len(t)):
         last = max(i - 1, 0)
-        one_before = e[i - 1] if i >= 1 else 0.0
-        two_before = e[i - 2] if i >= 2 else 0.0
-        total += STEP_S * e[i]
+        total += STEP_S * e[i + 2]
+        changes = u[i] - u[last], y_tf[i] - y_tf[last], (y[i] - y[last]) / STEP_S, e[i + 1] - e[i]
         rows.append(
-            [
-                t[i],
-                u[i],
-                u[i] - u[last],
-                y_tf[i],
-                y_tf[i] - y_tf[last],
-                y[i],
-                (y[i] - y[last]) / STEP_S,
-                one_before,
-                one_before - two_before,
-                total,
-            ]
+            [t[i], u[i], changes[0], y_tf[i], changes[1], y[i], changes[2], e[i + 1], changes[3], total]
         )
     return np.array(rows)
 
@@ -106,13 +94,10 @@ def test_features_are_the_ten_formulas_of_the_method(made_up):
     np.testing.assert_allclose(features, expected, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(memory.error, np.asarray(made_up.displacement - made_up.benchmark), atol=1e-12)
     assert len(FEATURES) == expected.shape[1]
-
-
-def test_features_of_tests_side_by_side_are_those_of_each(made_up):
+    # Those of tests side by side are those of each.
     other = jax.tree.map(lambda array: array[::-1], made_up)
-    pair = jax.tree.map(lambda *each: jnp.stack(each, axis=1), made_up, other)
-    _, both = features_of(pair, STEP_S)
-    np.testing.assert_allclose(both[:, 0], by_hand(made_up), rtol=1e-12, atol=1e-12)
+    _, both = features_of(jax.tree.map(lambda *pair: jnp.stack(pair, axis=1), made_up, other), STEP_S)
+    np.testing.assert_allclose(both[:, 0], expected, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(both[:, 1], by_hand(other), rtol=1e-12, atol=1e-12)
 
 
@@ -120,27 +105,24 @@ def test_an_untrained_compensator_is_persistence_at_every_horizon(untrained, mad
     ahead = roll(untrained, made_up, TRUSTED, 7, STEP_S)
     error = np.asarray(made_up.displacement - made_up.benchmark)
     np.testing.assert_array_equal(ahead, np.broadcast_to(error, (7, SAMPLES)))
-    alone = run_free(untrained, *(each[:, None] for each in made_up[:3]), STEP_S)
+    alone = run_free(untrained, *(signal[:, None] for signal in made_up[:3]), STEP_S)
     assert not np.any(alone)
 
 
-def sigmoid(x):
-    return 1 / (1 + np.exp(-x))
-
-
 def read_by_hand(compensator, rows):
-    """Return output and cell of the LSTM after some rows of features, by its textbook equations."""
-    cell = compensator.network.cell
+    """Return the output of the LSTM after some rows of features, by its textbook equations."""
+
+    def sigmoid(x):
+        return 1 / (1 + np.exp(-x))
+
+    cell = jax.tree.map(np.asarray, compensator.network.cell)
     output, memory = np.zeros(HIDDEN), np.zeros(HIDDEN)
-    for row in rows:
-        scaled = (row - np.asarray(compensator.centre)) / np.asarray(compensator.spread)
-        total = (
-            np.asarray(cell.weight_ih) @ scaled + np.asarray(cell.weight_hh) @ output + np.asarray(cell.bias)
-        )
+    for row in (rows - np.asarray(compensator.centre)) / np.asarray(compensator.spread):
+        total = cell.weight_ih @ row + cell.weight_hh @ output + cell.bias
         enter, forget, candidate, leave = np.split(total, 4)
         memory = sigmoid(forget) * memory + sigmoid(enter) * np.tanh(candidate)
         output = sigmoid(leave) * np.tanh(memory)
-    return output, memory
+    return output
 
 
 def heard_from(position):
@@ -150,12 +132,12 @@ def heard_from(position):
 
 def step_by_hand(compensator, rows, position):
     """Return the step of the error to the sample at `position`, all read anew from where it begins."""
-    output, _ = read_by_hand(compensator, rows[heard_from(position) : position])
+    output = read_by_hand(compensator, rows[heard_from(position) : position])
     head = compensator.network.head
     return ERROR_STEP * float(np.asarray(head.weight)[0] @ output + np.asarray(head.bias)[0])
 
 
-def test_a_step_comes_of_exactly_the_features_since_the_last_hand_over_but_one(compensator, made_up):
+def test_a_step_reads_features_since_the_last_handover_but_one(compensator, made_up):
     rows = by_hand(made_up)
     ahead = np.asarray(roll(compensator, made_up, TRUSTED, 1, STEP_S))[0]
     error = np.asarray(made_up.displacement - made_up.benchmark)
@@ -171,7 +153,7 @@ def test_a_step_comes_of_exactly_the_features_since_the_last_hand_over_but_one(c
     position = 4 * WINDOW
     start = heard_from(position)
     for other in (start - 1, start + 1):
-        output, _ = read_by_hand(compensator, rows[other:position])
+        output = read_by_hand(compensator, rows[other:position])
         moved = ERROR_STEP * float(np.asarray(compensator.network.head.weight)[0] @ output + 0.1)
         assert abs(moved - (ahead - error)[position - 1]) > 2 * rounding
 
@@ -224,52 +206,46 @@ def test_beyond_its_largest_horizon_a_compensator_corrects_nothing(compensator, 
     assert np.abs(full[largest:] - found[largest:]).max() > 0.1 * ERROR_STEP
 
 
-def test_without_trust_the_error_stands_and_half_of_it_takes_half_a_step(compensator, made_up):
+def test_trust_counts_in_proportion_at_the_sample_a_step_is_from(compensator, made_up):
     error = np.asarray(made_up.displacement - made_up.benchmark)
     none = roll(compensator, made_up, 0 * TRUSTED, 7, STEP_S)
     np.testing.assert_array_equal(none, np.broadcast_to(error, (7, SAMPLES)))
-    full, half = (np.asarray(roll(compensator, made_up, t * TRUSTED, 1, STEP_S))[0] for t in (1.0, 0.5))
-    np.testing.assert_allclose(half - error, 0.5 * (full - error), rtol=0, atol=1e-13)
-    assert np.abs(full - error).max() > 0.1 * ERROR_STEP
+    full, half, without = (
+        np.asarray(roll(compensator, made_up, trust, 3, STEP_S))
+        for trust in (TRUSTED, 0.5 * TRUSTED, TRUSTED.at[30].set(0.0))
+    )
+    np.testing.assert_allclose(half[0] - error, 0.5 * (full[0] - error), rtol=0, atol=1e-13)
+    assert np.abs(full[0] - error).max() > 0.1 * ERROR_STEP
+    assert without[0, 30] == error[30]
+    assert without[1, 29] == without[0, 29] == full[0, 29]
+    assert np.all(full[[0, 1], [30, 29]] != without[[0, 1], [30, 29]])
+    np.testing.assert_array_equal(without[:, 31:], full[:, 31:])
 
 
-def test_trust_counts_at_the_sample_a_step_is_taken_from(compensator, made_up):
-    trust = np.ones(SAMPLES)
-    trust[30] = 0.0
-    found = np.asarray(roll(compensator, made_up, jnp.asarray(trust), 3, STEP_S))
-    full = np.asarray(roll(compensator, made_up, TRUSTED, 3, STEP_S))
-    error = np.asarray(made_up.displacement - made_up.benchmark)
-    assert found[0, 30] == error[30]
-    assert found[1, 29] == found[0, 29] == full[0, 29]
-    assert np.all(full[[0, 1], [30, 29]] != found[[0, 1], [30, 29]])
-    np.testing.assert_array_equal(found[:, 31:], full[:, 31:])
-
-
-def test_what_is_measured_after_the_origin_changes_nothing(compensator, made_up):
-    origin, horizon = 25, 12
-    later = jnp.arange(SAMPLES) > origin
-    other = made_up._replace(displacement=jnp.where(later, 500.0, made_up.displacement))
-    one, two = (np.asarray(roll(compensator, test, TRUSTED, horizon, STEP_S)) for test in (made_up, other))
-    np.testing.assert_array_equal(one[:, : origin + 1], two[:, : origin + 1])
-    assert np.all(one[:, origin + 1 :] != two[:, origin + 1 :])
-
-
-def test_a_command_after_the_sample_predicted_changes_nothing(compensator, made_up):
-    later = jnp.arange(SAMPLES) >= 30
-    other = made_up._replace(
+def test_no_later_measurement_or_command_changes_a_prediction(compensator, made_up):
+    at, horizon = 30, 4
+    later = jnp.arange(SAMPLES) >= at
+    measured = made_up._replace(displacement=jnp.where(later, 500.0, made_up.displacement))
+    commanded = made_up._replace(
         command=jnp.where(later, 5.0, made_up.command), benchmark=jnp.where(later, 0.0, made_up.benchmark)
     )
-    one, two = (np.asarray(roll(compensator, test, TRUSTED, 4, STEP_S)) for test in (made_up, other))
-    for step in range(1, 5):
-        # The sample 30 is predicted from what is known of those before it.
-        np.testing.assert_array_equal(one[step - 1, : 31 - step], two[step - 1, : 31 - step])
-        assert one[step - 1, 31 - step] != two[step - 1, 31 - step]
+    one, other, moved = (
+        np.asarray(roll(compensator, test, TRUSTED, horizon, STEP_S))
+        for test in (made_up, measured, commanded)
+    )
+    np.testing.assert_array_equal(one[:, :at], other[:, :at])
+    assert np.all(one[:, at:] != other[:, at:])
+    for step in range(1, horizon + 1):
+        # The sample 30 is predicted from the commands of those before it.
+        first = at + 1 - step
+        np.testing.assert_array_equal(one[step - 1, :first], moved[step - 1, :first])
+        assert one[step - 1, first] != moved[step - 1, first]
 
 
-def test_a_free_run_is_a_roll_out_from_a_start_without_error(compensator, made_up):
+def test_a_free_run_is_a_roll_out_without_initial_error(compensator, made_up):
     rested = made_up._replace(displacement=made_up.displacement.at[0].set(made_up.benchmark[0]))
     ahead = np.asarray(roll(compensator, rested, TRUSTED, SAMPLES - 1, STEP_S))[:, 0]
-    alone = np.asarray(run_free(compensator, *(each[:, None] for each in made_up[:3]), STEP_S))[:, 0]
+    alone = np.asarray(run_free(compensator, *(signal[:, None] for signal in made_up[:3]), STEP_S))[:, 0]
     assert alone[0] == 0.0
     assert np.abs(alone).max() > 0.05
     # One computation in two programs: single precision at each of 60 steps, each step of size σ.
@@ -284,9 +260,8 @@ def test_the_scaling_travels_with_the_compensator(compensator, made_up):
         compensator,
         (compensator.centre * unit, compensator.spread * unit, compensator.error_step * 1024.0),
     )
-    larger = made_up._replace(
-        benchmark=1024.0 * made_up.benchmark, displacement=1024.0 * made_up.displacement
-    )
+    benchmark, displacement = 1024.0 * made_up.benchmark, 1024.0 * made_up.displacement
+    larger = made_up._replace(benchmark=benchmark, displacement=displacement)
     ours, theirs = roll(compensator, made_up, TRUSTED, 7, STEP_S), roll(other, larger, TRUSTED, 7, STEP_S)
     np.testing.assert_array_equal(1024.0 * ours, theirs)
 

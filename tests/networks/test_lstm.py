@@ -67,31 +67,27 @@ def doubled(tree):
     return jax.tree.map(lambda leaf: leaf.astype(jnp.float64), tree)
 
 
-def at_once(network, inputs, exist):
-    return network.unroll(inputs, exist)
-
-
-def told(network, inputs, exist, weights, outputs):
-    """Return a weighted sum of what is said."""
-    return jnp.sum(weights * outputs(network, inputs, exist))
-
-
 def slopes(outputs, network, inputs, exist, weights):
-    return jax.jit(jax.grad(told, argnums=(0, 1)), static_argnums=4)(network, inputs, exist, weights, outputs)
+    """Return the derivatives of a weighted sum of what the network says."""
+
+    def weighted(network, inputs):
+        return jnp.sum(weights * outputs(network, inputs, exist))
+
+    return jax.jit(jax.grad(weighted, argnums=(0, 1)))(network, inputs)
 
 
 def test_a_sequence_read_at_once_is_that_read_input_by_input(network, inputs, exist):
     expected = np.asarray(by_the_book(*doubled((network, inputs)), exist))
     # As near the truth as what is read input by input in single precision.
     rounding = 4 * np.abs(one_by_one(network, inputs, exist) - expected).max() + 16 * SINGLE
-    np.testing.assert_allclose(at_once(network, inputs, exist), expected, rtol=0, atol=rounding)
+    np.testing.assert_allclose(network.unroll(inputs, exist), expected, rtol=0, atol=rounding)
     assert rounding < 1e-3
 
 
 def test_its_derivatives_are_those_of_double_precision(network, inputs, exist):
     weights = jnp.asarray(np.random.default_rng(3).normal(size=(SAMPLES, SEQUENCES)))
     given = network, inputs
-    mine, theirs = (slopes(each, *given, exist, weights) for each in (at_once, one_by_one))
+    mine, theirs = (slopes(read, *given, exist, weights) for read in (Lstm.unroll, one_by_one))
     exact = slopes(by_the_book, *doubled(given), exist, weights)
     for found, stepwise, expected in zip(*map(jax.tree.leaves, (mine, theirs, exact)), strict=True):
         # As near the truth as JAX's own derivative of the loop, in the largest of each array.

@@ -21,7 +21,7 @@ def trusted(lowest, highest, values):
 
 
 @given(ends=ends, share=st.floats(0.0, 1.0))
-def test_trust_is_one_within_and_falls_to_zero_over_a_tenth_of_the_range(ends, share):
+def test_trust_falls_to_zero_over_a_tenth_beyond_the_range(ends, share):
     lowest, width = ends
     highest = lowest + width
     inside = lowest + share * (highest - lowest)
@@ -43,7 +43,7 @@ def test_trust_never_grows_on_the_way_out(ends):
     assert (found[0], found[-1]) == (1.0, 0.0)
 
 
-def test_where_there_is_no_second_input_its_range_has_no_width_and_is_never_left():
+def test_the_range_of_a_missing_load_is_never_left():
     assert trusted(0.0, 0.0, 0.0) == 1.0
     covered = envelope()
     assert float(covered.trust(jnp.asarray(0.2), jnp.asarray(80.0), jnp.zeros(1))) == 1.0
@@ -62,14 +62,14 @@ def test_one_range_left_by_a_tenth_is_enough():
             assert float(found) == pytest.approx(trust, abs=1e-12)
 
 
-def test_the_ranges_of_a_model_are_those_of_the_samples_that_count(make_record):
+def test_the_ranges_are_those_of_the_samples_that_count(make_record):
     records = [
         make_record(np.linspace(start, start + 10.0, 100), np.linspace(0.0, top, 100))
         for start, top in ((80.0, 0.7), (70.0, 0.9))
     ]
     batch = Batch.of(records, LIFTING, dead_zone=0.3, sign=1)
     found = operating_range_of(batch, ())
-    ranges = {name: (each.lowest.item(), each.highest.item()) for name, each in vars(found).items()}
+    ranges = {name: (ends.lowest.item(), ends.highest.item()) for name, ends in vars(found).items()}
     assert ranges["command"] == pytest.approx((0.0, 0.6))
     assert ranges["displacement"] == (70.0, 90.0)
     assert ranges["load"] == (0.0, 0.0)

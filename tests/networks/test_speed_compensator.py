@@ -78,19 +78,14 @@ def by_hand(model, travel, command, initial):
     weights, biases, outputs = map(np.asarray, model.networks)
     covered = model.operating_range.displacement
     lowest, highest = float(covered.lowest), float(covered.highest)
+    scales = np.array([model.command_scale, model.speed_scale, model.acceleration_scale])
     increments = np.append(np.diff(travel), 0.0)
     found, compensated, speed, acceleration = [], 0.0, 0.0, 0.0
     for sample in range(travel.size):
         found.append(compensated)
-        inputs = np.array(
-            [
-                command[sample] / float(model.command_scale),
-                speed / float(model.speed_scale),
-                acceleration / float(model.acceleration_scale),
-                2 * (initial + model.sign * compensated - lowest) / (highest - lowest) - 1,
-                0.0,  # the load's range has no width
-            ]
-        )
+        scaled = np.array([command[sample], speed, acceleration]) / scales
+        place = 2 * (initial + model.sign * compensated - lowest) / (highest - lowest) - 1
+        inputs = np.array([*scaled, place, 0.0])  # the load's range has no width
         members = [
             np.tanh(v @ np.tanh(w @ inputs + b)) for w, b, v in zip(weights, biases, outputs, strict=True)
         ]

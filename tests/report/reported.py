@@ -55,7 +55,9 @@ def predictions(sizes=(300, 250, 280), *, models=MODELS, band=True, seed=0):
     """Return tests of a sine with what models say of them, each a little further off than the one before."""
     rng = np.random.default_rng(seed)
     time_s = tuple(STEP_S * np.arange(size) for size in sizes)
-    actual = tuple(100.0 + 40.0 * np.sin(each) + 0.02 * rng.standard_normal(each.size) for each in time_s)
+    actual = tuple(
+        100.0 + 40.0 * np.sin(seconds) + 0.02 * rng.standard_normal(seconds.size) for seconds in time_s
+    )
     told = {
         name: tuple(y + 0.1 * (1 + place) * rng.standard_normal(y.size).cumsum() for y in actual)
         for place, name in enumerate(models)
@@ -82,11 +84,11 @@ def residuals(*, seed=0, level=None):
     rng = np.random.default_rng(seed)
     sizes = (300, 250)
     command = [np.repeat(rng.uniform(0, 0.5, size // 25), 25) for size in sizes]
-    errors = [0.1 * rng.standard_normal(each.size) + 0.3 * each for each in command]
+    errors = [0.1 * rng.standard_normal(levels.size) + 0.3 * levels for levels in command]
     if level is not None:
-        errors = [np.full(each.size, level) for each in command]
-    displacement = [100.0 + np.cumsum(each) for each in command]
-    speed = [each / STEP_S for each in command]
+        errors = [np.full(levels.size, level) for levels in command]
+    displacement = [100.0 + np.cumsum(levels) for levels in command]
+    speed = [levels / STEP_S for levels in command]
     return residual_tests(errors, command, displacement, speed, step_s=STEP_S)
 
 
@@ -106,30 +108,24 @@ def estimate(name="gain", *, symbol="K", unit="mm/(s·A)", value=30.0, error=1.0
     return Estimate(name=name, symbol=symbol, unit=unit, value=value, error=error, interval=ends, **known)
 
 
-VAGUE = {"error": None, "determined": False}
+def _vague(name, symbol, unit, value, interval, verdict):
+    return estimate(
+        name,
+        symbol=symbol,
+        unit=unit,
+        value=value,
+        error=None,
+        interval=interval,
+        determined=False,
+        verdict=verdict,
+    )
+
+
 ESTIMATES = (
     estimate(),
-    estimate(
-        "time_constant",
-        symbol="τ",
-        unit="s",
-        value=0.02,
-        interval=(None, 0.05),
-        verdict="not determined",
-        **VAGUE,
-    ),
-    estimate(
-        "natural_frequency",
-        symbol="ωh",
-        unit="rad/s",
-        value=90.0,
-        interval=(40.0, None),
-        verdict="too fast",
-        **VAGUE,
-    ),
-    estimate(
-        "damping_ratio", symbol="ξh", unit="1", value=0.6, interval=(None, None), verdict="any", **VAGUE
-    ),
+    _vague("time_constant", "τ", "s", 0.02, (None, 0.05), "not determined"),
+    _vague("natural_frequency", "ωh", "rad/s", 90.0, (40.0, None), "too fast"),
+    _vague("damping_ratio", "ξh", "1", 0.6, (None, None), "any"),
     estimate(
         "curvature", symbol="curvature", unit="1", value=0.0, error=0.05, linear=True, lower=-1.0, upper=1.0
     ),
@@ -183,10 +179,10 @@ def trace_json(*parameters, iterations=20, candidates=3, phase2=True, notices=("
     return {
         "dead_zone": {"value": 0.35, "spread": 0.01, "count": 2, "origin": "ramps"},
         "phase1": {
-            "uncertainty": {"parameters": [asdict(each) for each in found]},
+            "uncertainty": {"parameters": [asdict(parameter) for parameter in found]},
             "fitness": [None, *(1.5 * falling[1:]).tolist()],
-            "searched": [each.name for each in found],
-            "values": [[(each.value or 0.1) * factor for each in found] for factor in falling],
+            "searched": [parameter.name for parameter in found],
+            "values": [[(parameter.value or 0.1) * factor for parameter in found] for factor in falling],
         },
         "phase2": {
             "training_loss": [None, *np.geomspace(1.0, 0.01, iterations - 1).tolist()],
@@ -285,6 +281,28 @@ def document(*, said="A paragraph.", table=TABLE, items=None, title="A report", 
 
 
 PAPER = ("one_step", "free_run", "benchmark")
+RIVALS = ("lstm", "narx", "arx", "transfer_function", "benchmark", "free_run")
+# What each figure of the report is drawn of, with displacements in a unit.
+DRAWN = {
+    "convergence": lambda unit: (trace().phase1, unit),
+    "coverage": lambda unit: (bands(), STEP_S),
+    "error_distribution": lambda unit: (
+        {name: predictions().errors(name) for name in ("one_step", "free_run")},
+        unit,
+    ),
+    "errors_by_test": lambda unit: (predictions(), unit, RIVALS),
+    "horizons": lambda unit: (horizons(), STEP_S, unit),
+    "intervals": lambda unit: ("title", ESTIMATES),
+    "loads": lambda unit: (load_scatter(),),
+    "losses": lambda unit: (trace().phase2,),
+    "outputs": lambda unit: (predictions(), unit, PAPER),
+    "predicted_errors": lambda unit: (dict.fromkeys(("training", "validation"), predictions()), unit),
+    "residual_correlations": lambda unit: (residuals(),),
+    "residuals_by_variable": lambda unit: (residuals(), unit, "A"),
+    "searches": lambda unit: (searches(), unit),
+    "speed_map": lambda unit: (characteristics(unit),),
+    "structures": lambda unit: (trace().candidates, unit, None),
+}
 
 
 def sketch(name, *shown):

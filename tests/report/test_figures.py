@@ -4,7 +4,6 @@ import inspect
 import re
 import warnings
 from dataclasses import replace
-from itertools import combinations
 from textwrap import fill
 
 import jax.numpy as jnp
@@ -22,15 +21,15 @@ from hitchid.logs.record import LIFTING
 from hitchid.model.trace import TracedDeadZone
 from hitchid.plots.style import COLOURS, COMPARED, DECIMATION_BINS, SHADES, decimate
 from hitchid.report import Picture, figures
-from hitchid.report.figures.parameters import ONSET_FACTOR
+from hitchid.report.figures.identification import ONSET_FACTOR
 from hitchid.report.svg import svg
 from hitchid.validation import Horizons
 from hitchid.validation.results import LABELS, concatenated_time
 from hitchid.validation.valve_map import valve_map
-from reported import PAPER, sketch
+from legible import assert_whole_and_apart, axis_texts, contrast, shared_label
+from reported import DRAWN, PAPER, RIVALS, sketch
 
 ZONE = TracedDeadZone(value=0.35, spread=0.01, origin="ramps", count=1)
-RIVALS = ("lstm", "narx", "arx", "transfer_function", "benchmark", "free_run")
 # Counts, quantities scaled to 1, and an axis on which nothing but the order of searches is told.
 WITHOUT_UNIT = {
     "iteration",
@@ -50,61 +49,32 @@ def _every_warning_is_an_error():
         yield
 
 
-@pytest.fixture
-def pressed(make_record):
-    """Return a function that makes a lifting test of commands in A held for some seconds each."""
-
-    def make(*levels, held_s=1.0, name="test"):
-        command = np.repeat(levels, round(held_s / reported.STEP_S))
-        speed = handmade.GAINS[LIFTING] * np.maximum(command - handmade.DEAD_ZONES[LIFTING], 0)
-        way = reported.STEP_S * np.concatenate([[0.0], np.cumsum(speed)[:-1]])
-        return make_record(100 + way, command, 0 * command, name=name)
-
-    return make
-
-
-@pytest.fixture
-def ramp(make_record):
-    """Return a slow rise from 0.2 to 0.7 A, on which the piston follows the handmade integrator."""
-    command = np.linspace(0.2, 0.7, 1000)
+def moved(make_record, command, name):
+    """Return a lifting test on which the piston follows the handmade integrator."""
     speed = handmade.GAINS[LIFTING] * np.maximum(command - handmade.DEAD_ZONES[LIFTING], 0)
     way = reported.STEP_S * np.concatenate([[0.0], np.cumsum(speed)[:-1]])
-    return make_record(100 + way, command, 0 * command, name="ramp")
+    return make_record(100 + way, command, 0 * command, name=name)
 
 
-DRAWN = {
-    "convergence": lambda unit: (reported.trace().phase1, unit),
-    "coverage": lambda unit: (reported.bands(), reported.STEP_S),
-    "error_distribution": lambda unit: (
-        {name: reported.predictions().errors(name) for name in ("one_step", "free_run")},
-        unit,
-    ),
-    "errors_by_test": lambda unit: (reported.predictions(), unit, RIVALS),
-    "horizons": lambda unit: (reported.horizons(), reported.STEP_S, unit),
-    "intervals": lambda unit: ("title", reported.ESTIMATES),
-    "loads": lambda unit: (reported.load_scatter(),),
-    "losses": lambda unit: (reported.trace().phase2,),
-    "outputs": lambda unit: (reported.predictions(), unit, PAPER),
-    "predicted_errors": lambda unit: (
-        {part: reported.predictions() for part in ("training", "validation")},
-        unit,
-    ),
-    "residual_correlations": lambda unit: (reported.residuals(),),
-    "residuals_by_variable": lambda unit: (reported.residuals(), unit, "A"),
-    "searches": lambda unit: (reported.searches(), unit),
-    "speed_map": lambda unit: (reported.characteristics(unit),),
-    "structures": lambda unit: (reported.trace().candidates, unit, None),
-}
+@pytest.fixture(scope="module")
+def pressed(make_record):
+    """Return a function that makes a lifting test of commands in A held for one second each."""
+    return lambda *levels: moved(make_record, np.repeat(levels, round(1 / reported.STEP_S)), "test")
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
+def ramp(make_record):
+    """Return a slow rise from 0.2 to 0.7 A."""
+    return moved(make_record, np.linspace(0.2, 0.7, 1000), "ramp")
+
+
+EVERY = [*DRAWN, "dead_zone", "timeline", "valve_map"]
+
+
+@pytest.fixture(scope="module")
 def draw(pressed, ramp):
-    """Return a function that draws a figure by its name, with displacements in a unit."""
-
-    def drawn(name, unit="mm"):
-        if (name, unit) not in KEPT:
-            KEPT[name, unit] = fresh(name, unit)
-        return KEPT[name, unit]
+    """Return a function that draws a figure by its name, with displacements in a unit, once."""
+    kept = {}
 
     def fresh(name, unit):
         match name:
@@ -117,11 +87,16 @@ def draw(pressed, ramp):
                 return sketch("valve_map", valve_map(channel, [pressed(0, 0.5, 0, 0.6)], [ramp]), unit, "A")
         return sketch(name, *DRAWN[name](unit))
 
+    def drawn(name, unit="mm"):
+        if (name, unit) not in kept:
+            # Reading the backend settles it, which is matplotlib's own doing.
+            assert mpl.rcParams["backend"]
+            settings = mpl.rcParams.copy()
+            kept[name, unit] = fresh(name, unit)
+            assert mpl.rcParams == settings
+        return kept[name, unit]
+
     return drawn
-
-
-KEPT = {}
-EVERY = [*DRAWN, "dead_zone", "timeline", "valve_map"]
 
 
 def test_every_public_figure_is_tested_here():
@@ -137,46 +112,27 @@ def test_every_public_figure_is_tested_here():
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_a_figure_leaves_the_settings_of_matplotlib_alone(draw, name):
-    # Reading the backend settles it, which is matplotlib's own doing.
-    assert mpl.rcParams["backend"]
-    before = mpl.rcParams.copy()
-    KEPT.clear()
+def test_every_axis_has_a_unit_and_whole_labels(draw, name):
     figure = draw(name)
-    assert mpl.rcParams == before
-    if name == "outputs":
-        svg(figure)
-    assert mpl.rcParams == before
-
-
-def told(axes, direction):
-    """Return the label of one direction of an axes, its own or that of the axes it shares it with."""
-    shared = axes.get_shared_x_axes() if direction == "x" else axes.get_shared_y_axes()
-    labels = [getattr(each, f"get_{direction}label")() for each in (axes, *shared.get_siblings(axes))]
-    return next((label for label in labels if label), "")
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        for direction, axis in (("x", axes.xaxis), ("y", axes.yaxis)):
+            assert_whole_and_apart(figure, axis_texts(axis))
+            # Each axes of the intervals has a scale of its own, and its unit beside the parameter's name.
+            if name == "intervals":
+                continue
+            label = shared_label(axes, direction)
+            numbers = [text.replace("\N{MINUS SIGN}", "-") for text in ticks(axes, direction)]
+            assert label or not any(re.fullmatch(r"-?[\d.]+(e[+-]?\d+)?", text) for text in numbers)
+            assert not label or label in WITHOUT_UNIT or re.search(r"/\s\S", label), label
+    for legend in figure.legends:
+        assert_whole_and_apart(figure, legend.get_texts())
 
 
 def ticks(axes, direction):
     """Return the numbers or words that are seen along one direction of an axes."""
     texts = getattr(axes, f"get_{direction}ticklabels")()
     return [text.get_text() for text in texts if text.get_visible() and text.get_text()]
-
-
-def number(text):
-    return re.fullmatch(r"-?[\d.]+(e[+-]?\d+)?", text.replace("\N{MINUS SIGN}", "-")) is not None
-
-
-@pytest.mark.parametrize("name", [name for name in EVERY if name != "intervals"])
-def test_every_axis_of_numbers_says_what_it_is_and_in_which_unit(draw, name):
-    figure = draw(name)
-    figure.draw_without_rendering()
-    for axes in figure.axes:
-        for direction in "xy":
-            label = told(axes, direction)
-            if any(map(number, ticks(axes, direction))):
-                assert label, f"{direction} of {name}"
-            if label and label not in WITHOUT_UNIT:
-                assert re.search(r"/\s\S", label), label
 
 
 UNITED = [
@@ -196,33 +152,6 @@ def test_the_unit_on_an_axis_is_the_one_that_was_given(draw, name):
     assert angles != lengths
 
 
-def seen(axis):
-    """Return the label of an axis and those of its ticks, as far as they are drawn."""
-    low, high = sorted(axis.get_view_interval())
-    labels = [tick.label1 for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
-    return [text for text in (axis.label, *labels) if text.get_visible() and text.get_text()]
-
-
-@pytest.mark.parametrize("name", EVERY)
-def test_no_label_is_cut_off_or_covers_another_of_its_axis(draw, name):
-    figure = draw(name)
-    figure.draw_without_rendering()
-    # A pixel of the screen, by which the layout may be off.
-    whole = figure.bbox.padded(1.0)
-    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
-        boxes = {text.get_text(): text.get_window_extent() for text in seen(axis)}
-        for text, box in boxes.items():
-            assert whole.x0 <= box.x0, text
-            assert box.x1 <= whole.x1, text
-            assert whole.y0 <= box.y0, text
-            assert box.y1 <= whole.y1, text
-        for (one, box), (other, beside) in combinations(boxes.items(), 2):
-            assert not box.overlaps(beside), (one, other)
-    for text in (text for legend in figure.legends for text in legend.get_texts()):
-        box = text.get_window_extent()
-        assert whole.x0 <= box.x0 <= box.x1 <= whole.x1, text.get_text()
-
-
 def colours(axes):
     """Return what the legend of an axes calls its lines, to their colours, `free run` left out."""
     found = {}
@@ -233,51 +162,48 @@ def colours(axes):
     return found
 
 
-def test_a_model_has_one_colour_in_all_figures():
-    tests = reported.predictions()
-    by_test = sketch("errors_by_test", tests, "mm", RIVALS).axes[0]
+def test_a_model_has_one_colour_in_all_figures(draw):
+    by_test = draw("errors_by_test").axes[0]
     rows = [text.get_text() for text in by_test.get_yticklabels()]
     points = [line for line in by_test.get_lines() if line.get_marker() not in ("|", "None")]
     found = [
         {row: {line.get_color()} for row, line in zip(rows, points, strict=True)},
-        colours(sketch("horizons", reported.horizons(), reported.STEP_S, "mm").axes[0]),
-        colours(sketch("outputs", tests, "mm", ("benchmark", "one_step", "free_run")).axes[0]),
-        colours(sketch("error_distribution", *DRAWN["error_distribution"]("mm")).axes[0]),
+        *(colours(draw(name).axes[0]) for name in ("horizons", "outputs", "error_distribution")),
     ]
     assert {"grey box", "physics model", "grey box, one step", "ARX"} <= set().union(*found)
     for name in set().union(*found):
-        assert len(set().union(*(each.get(name, set()) for each in found))) == 1, name
+        assert len(set().union(*(figure_colours.get(name, set()) for figure_colours in found))) == 1, name
 
 
-def test_no_two_models_of_a_figure_look_alike_even_without_colours():
-    lines = sketch("horizons", reported.horizons(), reported.STEP_S, "mm").axes[0].get_lines()
-    assert len(lines) == len(reported.horizons().rmse)
+COMPARED_ERRORS = {"persistence": (1.0, 2.0), **dict.fromkeys(COMPARED, (1.0, 2.0))}
+
+
+@pytest.mark.parametrize("errors", [reported.horizons(), Horizons((1, 2), COMPARED_ERRORS)])
+def test_no_two_models_of_a_figure_look_alike_even_without_colours(errors):
+    lines = sketch("horizons", errors, reported.STEP_S, "mm").axes[0].get_lines()
+    assert len(lines) == len(errors.rmse)
     assert len({line.get_marker() for line in lines}) == len(lines)
     assert len({(line.get_color(), str(line._dash_pattern)) for line in lines}) == len(lines)
+    if len(errors.rmse) == len(COMPARED_ERRORS):
+        dashes = {str(line._dash_pattern) for line in lines}
+        assert len(dashes) == len(COMPARED)  # persistence is solid, as A
+        assert len({line.get_color() for line in lines}) == len(lines)
 
 
-def test_every_model_that_can_be_drawn_has_a_name_and_a_colour_of_the_palette():
+def test_every_drawn_model_has_a_name_and_a_palette_colour():
     assert set(LABELS) <= set(COLOURS)
     assert set(COLOURS.values()) == {shade.light for shade in SHADES.values()}
 
 
-def luminance(colour):
-    """Return the relative luminance of a colour (WCAG 2.2)."""
-    parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-    red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts)
-    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
-
-
-def contrast(one, other):
-    low, high = sorted((luminance(one), luminance(other)))
-    return (high + 0.05) / (low + 0.05)
-
-
 @pytest.mark.parametrize("name", [name for name in SHADES if name not in ("grid", "hold")])
-def test_a_curve_stands_out_from_white_paper_and_from_a_dark_screen(name):
+def test_a_curve_stands_out_from_paper_and_dark_screens(name):
+    light, dark, screen = (
+        tuple(int(colour[i : i + 2], 16) for i in (1, 3, 5))
+        for colour in (SHADES[name].light, SHADES[name].dark, "#16161a")
+    )
     # 3 is what WCAG 2.2 asks of graphics; Okabe and Ito's yellow and pink keep 2.1 on white.
-    assert contrast(SHADES[name].light, "#ffffff") >= 2.1
-    assert contrast(SHADES[name].dark, "#16161a") >= 4.5
+    assert contrast(light, (255, 255, 255)) >= 2.1
+    assert contrast(dark, screen) >= 4.5
 
 
 # --- each figure by its data --------------------------------------------------------------------------------
@@ -294,25 +220,23 @@ def test_convergence_shows_fitness_and_parameters_as_they_were_found():
         np.testing.assert_array_equal(best.get_ydata(), [row[place] for row in phase1.values])
         assert set(polished.get_ydata()) == {known.value}
         assert axes.get_ylabel() == f"{known.symbol}\n/ {known.unit}"
+    # A parameter without a symbol is called by its name.
+    unnamed = reported.trace(reported.estimate("speed_along", symbol="", unit="1/mm", linear=True))
+    assert sketch("convergence", unnamed.phase1, "mm").axes[1].get_ylabel() == "speed along\n/ 1/mm"
 
 
-def test_horizons_show_errors_over_seconds():
-    known = reported.horizons()
+@pytest.mark.parametrize(
+    "known", [reported.horizons(), Horizons((1, 2), {"greybox": (1.0, None), "persistence": (1.0, 2.0)})]
+)
+def test_horizons_show_errors_over_seconds_where_a_model_did_not_diverge(known):
     lines = sketch("horizons", known, 0.02, "mm").axes[0].get_lines()
-    assert len(lines) == len(known.rmse)
     for line, errors in zip(lines, known.rmse.values(), strict=True):
         np.testing.assert_array_equal(line.get_xdata(), 0.02 * np.array(known.steps))
-        np.testing.assert_array_equal(line.get_ydata(), errors)
-
-
-def test_a_horizon_at_which_a_model_diverged_has_no_point():
-    errors = Horizons((1, 2), {"greybox": (1.0, None), "persistence": (1.0, 2.0)})
-    line, _ = sketch("horizons", errors, 0.01, "mm").axes[0].lines
-    np.testing.assert_array_equal(line.get_ydata(), [1.0, np.nan])
+        np.testing.assert_array_equal(line.get_ydata(), np.array(errors, dtype=float))
 
 
 @pytest.mark.parametrize("sizes", [(300,), (200, 200, 200)])
-def test_a_test_is_a_point_and_the_bar_is_the_root_of_their_mean_square(sizes):
+def test_each_test_is_a_point_and_the_bar_their_rms(sizes):
     tests = reported.predictions(sizes)
     axes = sketch("errors_by_test", tests, "mm", RIVALS).axes[0]
     points, bars = axes.get_lines()[::2], axes.get_lines()[1::2]
@@ -327,40 +251,25 @@ def test_a_test_is_a_point_and_the_bar_is_the_root_of_their_mean_square(sizes):
         np.testing.assert_allclose(bar.get_xdata(), [together], rtol=1e-12)
 
 
-@pytest.fixture
-def distribution():
-    """Return errors of two models and the axes of their distribution."""
+def test_a_distribution_shows_the_shares_of_995_of_1000_samples():
     rng = np.random.default_rng(4)
     rows = {"one_step": 0.1 + rng.standard_normal(4000), "free_run": rng.standard_t(3, 3000)}
-    return rows, sketch("error_distribution", rows, "mm").axes
-
-
-def test_the_cumulative_curve_is_that_of_the_samples(distribution):
-    rows, (_, below) = distribution
-    for line, errors in zip(below.get_lines(), rows.values(), strict=True):
-        limit, share = line.get_xdata(), line.get_ydata()
-        counted = 100 * np.mean(np.abs(errors)[:, None] <= limit, axis=0)
-        # A quantile lies between two samples, so the share of those below it is off by one of them at most.
-        np.testing.assert_allclose(share, counted, rtol=0, atol=100 * 1.01 / errors.size)
-
-
-def test_the_axes_of_the_distribution_end_where_995_of_1000_samples_lie(distribution):
-    rows, (above, below) = distribution
+    above, below = sketch("error_distribution", rows, "mm").axes
     reach = below.get_xlim()[1]
     assert above.get_xlim() == (-reach, reach)
     shares = [np.mean(np.abs(errors) <= reach) for errors in rows.values()]
     assert min(shares) == pytest.approx(0.995, abs=1 / 3000)
-
-
-def test_the_histogram_has_the_area_of_the_share_of_samples_it_shows(distribution):
-    rows, (above, _) = distribution
-    reach = above.get_xlim()[1]
     bars = np.array_split(np.array([(p.get_width(), p.get_height()) for p in above.patches]), len(rows))
-    for errors, both in zip(rows.values(), bars, strict=True):
-        assert both.prod(axis=1).sum() == pytest.approx(np.mean(np.abs(errors) <= reach), rel=1e-9)
+    for line, errors, share, bar in zip(below.get_lines(), rows.values(), shares, bars, strict=True):
+        limit, cumulative = line.get_data()
+        counted = 100 * np.mean(np.abs(errors)[:, None] <= limit, axis=0)
+        # A quantile lies between two samples, so the share of those below it is off by one of them at most.
+        np.testing.assert_allclose(cumulative, counted, rtol=0, atol=100 * 1.01 / errors.size)
+        # The area of the histogram.
+        assert bar.prod(axis=1).sum() == pytest.approx(share, rel=1e-9)
 
 
-def test_the_bell_has_mean_and_spread_of_the_errors_and_an_area_of_one():
+def test_the_bell_has_the_errors_mean_spread_and_unit_area():
     errors = 2.0 + 0.25 * np.random.default_rng(0).standard_normal(5000)
     wide = np.concatenate([errors, 8.0 - errors, np.repeat([-40.0, 40.0], 50)])
     above, _ = sketch("error_distribution", {"free_run": errors, "benchmark": wide}, "mm").axes
@@ -373,12 +282,10 @@ def test_the_bell_has_mean_and_spread_of_the_errors_and_an_area_of_one():
     assert trapezoid(place * bell, place) == pytest.approx(errors.mean(), abs=1e-2)
 
 
-def test_outputs_show_each_test_without_its_first_sample_and_keep_its_extremes():
+def test_outputs_show_each_test_with_its_extremes():
     tests = reported.predictions((2000, 1500, 1800))
     above, below = sketch("outputs", tests, "mm", PAPER).axes
-    drawn = {"measured": tests.actual} | {
-        LABELS[name]: tests.models[name] for name in ("one_step", "free_run", "benchmark")
-    }
+    drawn = {"measured": tests.actual} | {LABELS[name]: tests.models[name] for name in PAPER}
     lines = {line.get_label(): line for line in above.get_lines()}
     assert set(lines) == set(drawn)
     starts = np.cumsum([0.0, *(time_s[-1] for time_s in tests.time_s)])
@@ -424,18 +331,14 @@ def test_time_goes_on_from_test_to_test():
     np.testing.assert_allclose(concatenated_time(tests), 0.01 * np.array(steps), rtol=1e-12)
 
 
-def test_coverage_shows_shares_in_percent_over_seconds():
-    axes = sketch("coverage", reported.bands(covered=0.81, ahead=0.93), 0.02).axes[0]
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.81, 1.0])
+def test_coverage_shows_shares_in_percent_over_seconds_within_its_axes(share):
+    axes = sketch("coverage", reported.bands(covered=share, ahead=1 - share), 0.02).axes[0]
     ahead, free, asked = axes.get_lines()
     np.testing.assert_allclose(ahead.get_xdata(), 0.02 * np.array(reported.STEPS))
-    np.testing.assert_allclose(ahead.get_ydata(), 93)
-    assert {*free.get_ydata()} == {81}
+    np.testing.assert_allclose(ahead.get_ydata(), 100 * (1 - share))
+    assert {*free.get_ydata()} == {100 * share}
     assert {*asked.get_ydata()} == {90}
-
-
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.8, 1.0])
-def test_no_coverage_lies_outside_its_axes(share):
-    axes = sketch("coverage", reported.bands(covered=share, ahead=1 - share), 0.01).axes[0]
     low, high = axes.get_ylim()
     for line in axes.get_lines():
         assert low <= min(line.get_ydata())
@@ -467,21 +370,21 @@ def test_places_show_mean_and_spread_of_the_errors_in_each_bin():
         bins = found.by_quantity[name].bins
         spreads, means = axes.get_lines()[0:-1:2], axes.get_lines()[1:-1:2]
         assert len(spreads) == len(means) == len(bins)
-        for each, spread, mean in zip(bins, spreads, means, strict=True):
-            assert set(mean.get_ydata()) == {each.mean}
+        for errors, spread, mean in zip(bins, spreads, means, strict=True):
+            assert set(mean.get_ydata()) == {errors.mean}
             low, high = spread.get_ydata()
-            assert (low + high) / 2 == pytest.approx(each.mean)
+            assert (low + high) / 2 == pytest.approx(errors.mean)
             # Mean square = mean² + variance.
-            assert ((high - low) / 2) ** 2 + each.mean**2 == pytest.approx(each.rmse**2)
+            assert ((high - low) / 2) ** 2 + errors.mean**2 == pytest.approx(errors.rmse**2)
 
 
 def test_searches_show_every_end_and_the_run_in_the_middle():
     known = reported.searches()
     went, ended = sketch("searches", known, "mm").axes
-    for line, points, each in zip(went.get_lines(), ended.get_lines(), known, strict=True):
-        np.testing.assert_array_equal(line.get_ydata()[1:], each.median_rmse[1:])
+    for line, points, search in zip(went.get_lines(), ended.get_lines(), known, strict=True):
+        np.testing.assert_array_equal(line.get_ydata()[1:], search.median_rmse[1:])
         assert (line.get_xdata()[0], line.get_xdata()[-1]) == (0, 100)
-        assert list(points.get_ydata()) == [end for end in each.rmse if end is not None]
+        assert list(points.get_ydata()) == [end for end in search.rmse if end is not None]
 
 
 def test_losses_show_both_parts_and_the_epoch_that_is_kept():
@@ -497,12 +400,12 @@ def test_structures_show_both_errors_in_the_order_that_was_given():
     candidates = reported.trace(candidates=4).candidates
     axes = sketch("structures", candidates, "mm", None).axes[0]
     by_place = sorted(zip(axes.get_yticks(), (t.get_text() for t in axes.get_yticklabels()), strict=True))
-    names = [f"{each.name}{' (chosen)' if each.chosen else ''}" for each in candidates]
+    names = [f"{candidate.name}{' (chosen)' if candidate.chosen else ''}" for candidate in candidates]
     assert [text for _, text in by_place[::-1]] == [fill(name, 24) for name in names]
     everywhere, held_out = axes.get_lines()
-    np.testing.assert_array_equal(everywhere.get_xdata(), [each.rmse for each in candidates])
+    np.testing.assert_array_equal(everywhere.get_xdata(), [candidate.rmse for candidate in candidates])
     np.testing.assert_array_equal(
-        held_out.get_xdata(), [np.nan, *(each.held_out_rmse for each in candidates[1:])]
+        held_out.get_xdata(), [np.nan, *(candidate.held_out_rmse for candidate in candidates[1:])]
     )
 
 
@@ -513,18 +416,18 @@ def marks(axes):
     return [line.get_marker() for line in axes.get_lines() if line.get_marker() not in ("None", None, "")]
 
 
-def test_an_interval_runs_from_end_to_end_and_open_ends_are_arrows():
+def test_an_interval_has_both_ends_or_arrows():
     estimates = reported.ESTIMATES
-    for axes, each in zip(sketch("intervals", "title", reported.ESTIMATES).axes, estimates, strict=True):
+    for axes, known in zip(sketch("intervals", "title", estimates).axes, estimates, strict=True):
         bar = axes.get_lines()[0].get_xdata()
         edge = axes.get_xlim()
-        ends = [place if end is None else end for place, end in zip(edge, each.interval, strict=True)]
+        ends = [edge_end if end is None else end for edge_end, end in zip(edge, known.interval, strict=True)]
         np.testing.assert_allclose(bar, ends)
-        arrows = [sign for sign, end in zip("<>", each.interval, strict=True) if end is None]
+        arrows = [sign for sign, end in zip("<>", known.interval, strict=True) if end is None]
         assert marks(axes) == [*arrows, "|"]
-        assert edge[0] < each.value < edge[1]
-        unit = "" if each.unit == "1" else f" / {each.unit}"
-        assert axes.get_ylabel() == f"{each.symbol}{unit}"
+        assert edge[0] < known.value < edge[1]
+        unit = "" if known.unit == "1" else f" / {known.unit}"
+        assert axes.get_ylabel() == f"{known.symbol}{unit}"
 
 
 def test_an_undetermined_parameter_shows_its_best_fit_on_a_grey_interval():
@@ -543,7 +446,7 @@ def test_an_interval_around_zero_is_drawn_on_a_plain_scale(interval):
 
 
 @pytest.mark.parametrize("value", [1e-4, 0.08, 1.0, 30.0, 1e5])
-def test_an_interval_has_numbers_along_its_scale_that_can_be_told_apart(value):
+def test_an_interval_has_distinct_numbers_along_its_scale(value):
     for error in (0.003 * value, 0.03 * value, 0.3 * value):
         figure = sketch("intervals", "title", [reported.estimate(value=value, error=error)])
         figure.draw_without_rendering()
@@ -555,7 +458,7 @@ def test_an_interval_has_numbers_along_its_scale_that_can_be_told_apart(value):
 # --- the valve ----------------------------------------------------------------------------------------------
 
 
-def test_the_map_of_the_valve_has_gain_and_dead_zone_of_the_benchmark(pressed, ramp):
+def test_the_valve_map_has_gain_and_dead_zone_of_the_benchmark(pressed, ramp):
     channel = handmade.channel(LIFTING)
     test = pressed(*[0.4, 0.5, 0.6] * 8)
     axes = sketch("valve_map", valve_map(channel, [test], [ramp]), "mm", "A").axes[0]
@@ -579,7 +482,7 @@ def test_the_map_of_the_valve_has_gain_and_dead_zone_of_the_benchmark(pressed, r
         assert middle == pytest.approx(steady(place), abs=1e-6)
 
 
-def test_the_map_of_the_valve_waits_until_a_slow_speed_has_settled(make_record):
+def test_the_valve_map_waits_until_a_slow_speed_has_settled(make_record):
     # K/(s (τ s + 1)) with a lag of 1 s: after 0.25 s a command has moved the speed by 22 % of its change.
     lag_s, held = 1.0, round(5.0 / reported.STEP_S)
     slow = handmade.channel(LIFTING, "integrator-first-order")
@@ -598,7 +501,7 @@ def test_the_map_of_the_valve_waits_until_a_slow_speed_has_settled(make_record):
     assert bins[0].middle == pytest.approx(expected, abs=handmade.GAINS[LIFTING] * 0.25 * np.exp(-3.8))
 
 
-def test_the_speed_map_shows_speeds_bands_and_measured_points_for_each_load():
+def test_the_speed_map_shows_bands_and_points_of_each_load():
     known = reported.characteristics()
     axes = sketch("speed_map", known).axes[0]
     lines = {line.get_label(): line for line in axes.get_lines()}
@@ -614,10 +517,10 @@ def test_the_speed_map_shows_speeds_bands_and_measured_points_for_each_load():
             lower, upper = point.interval
             assert {(point.command, lower), (point.command, highest if upper is None else upper)} <= corners
     measured = np.column_stack(lines["measured"].get_data())
-    np.testing.assert_array_equal(measured, [(each.command, each.speed) for each in known.measured])
+    np.testing.assert_array_equal(measured, [(point.command, point.speed) for point in known.measured])
 
 
-def test_the_map_of_the_valve_needs_no_ramp_and_no_command_that_stands(make_record):
+def test_the_valve_map_needs_no_ramp_and_no_standing_command(make_record):
     command = 0.4 + 0.1 * np.sin(np.arange(200))
     moving = make_record(100 + np.arange(200.0), command, 0 * command)
     axes = sketch("valve_map", valve_map(handmade.channel(LIFTING), [moving], []), "mm", "A").axes[0]
@@ -638,10 +541,9 @@ def test_a_ramp_is_drawn_up_to_where_motion_is_plain(ramp):
     )
     (spread,) = axes.patches
     assert (spread.get_x(), spread.get_x() + spread.get_width()) == pytest.approx((0.34, 0.36))
-
-
-def test_a_dead_zone_of_one_ramp_has_no_spread(ramp):
-    assert not sketch("dead_zone", [ramp], LIFTING, replace(ZONE, spread=None), "mm", "A").axes[0].patches
+    # A dead zone of one ramp has no spread.
+    alone = sketch("dead_zone", [ramp], LIFTING, replace(ZONE, spread=None), "mm", "A")
+    assert not alone.axes[0].patches
 
 
 # --- what is not there, or not finite -----------------------------------------------------------------------
@@ -677,44 +579,30 @@ def test_a_distribution_leaves_the_errors_of_what_diverged_out(value):
     assert svg(sketch("error_distribution", {"free_run": rows["free_run"]}, "mm"))
 
 
-def without_finite_fitness():
-    search = replace(reported.trace().phase1, fitness=(None,) * 20)
-    return sketch("convergence", search, "mm")
-
-
-def without_an_end():
-    whale, *others = reported.searches()
-    failed = replace(whale, rmse=(None,) * 3, median_rmse=(None,), median_values=())
-    return sketch("searches", [failed, *others], "mm")
-
-
+SPEEDS, (WHALE, *OTHERS) = reported.characteristics(), reported.searches()
+ENDLESS = replace(WHALE, rmse=(None,) * 3, median_rmse=(None,), median_values=())
 SPARSE = {
-    "one level": lambda: sketch(
-        "speed_map",
-        replace(reported.characteristics(), speed_map=reported.characteristics().speed_map[:1], measured=()),
-    ),
-    "one test": lambda: sketch("outputs", reported.predictions((30,), band=False), "mm", PAPER),
-    "one model": lambda: sketch("errors_by_test", reported.predictions((30,)), "mm", ["free_run"]),
-    "constant errors": lambda: sketch("error_distribution", {"free_run": np.full(100, 0.1)}, "mm"),
-    "errors of zero": lambda: sketch("error_distribution", {"free_run": np.zeros(100)}, "mm"),
-    "one error": lambda: sketch("error_distribution", {"free_run": np.ones(1)}, "mm"),
-    "one horizon": lambda: sketch("horizons", Horizons((1,), {"greybox": (0.1,)}), 0.01, "mm"),
-    "one parameter": lambda: sketch("intervals", "title", [reported.estimate()]),
-    "no finite fitness": without_finite_fitness,
-    "a search without an end": without_an_end,
-    "one candidate": lambda: sketch("structures", reported.trace(candidates=1).candidates, "mm", None),
-    "two epochs": lambda: sketch("losses", reported.trace(iterations=2).phase2),
-    "errors that stand": lambda: sketch("residual_correlations", reported.residuals(level=0.1)),
-    "no errors": lambda: sketch("residual_correlations", reported.residuals(level=0.0)),
-    "errors that stand by place": lambda: sketch(
-        "residuals_by_variable", reported.residuals(level=0.1), "mm", "A"
-    ),
+    "one level": ("speed_map", replace(SPEEDS, speed_map=SPEEDS.speed_map[:1], measured=())),
+    "one test": ("outputs", reported.predictions((30,), band=False), "mm", PAPER),
+    "one model": ("errors_by_test", reported.predictions((30,)), "mm", ["free_run"]),
+    "constant errors": ("error_distribution", {"free_run": np.full(100, 0.1)}, "mm"),
+    "errors of zero": ("error_distribution", {"free_run": np.zeros(100)}, "mm"),
+    "one error": ("error_distribution", {"free_run": np.ones(1)}, "mm"),
+    "one horizon": ("horizons", Horizons((1,), {"greybox": (0.1,)}), 0.01, "mm"),
+    "one parameter": ("intervals", "title", [reported.estimate()]),
+    "no finite fitness": ("convergence", replace(reported.trace().phase1, fitness=(None,) * 20), "mm"),
+    "a search without an end": ("searches", [ENDLESS, *OTHERS], "mm"),
+    "one candidate": ("structures", reported.trace(candidates=1).candidates, "mm", None),
+    "two epochs": ("losses", reported.trace(iterations=2).phase2),
+    "errors that stand": ("residual_correlations", reported.residuals(level=0.1)),
+    "no errors": ("residual_correlations", reported.residuals(level=0.0)),
+    "errors that stand by place": ("residuals_by_variable", reported.residuals(level=0.1), "mm", "A"),
 }
 
 
 @pytest.mark.parametrize("drawn", SPARSE.values(), ids=SPARSE.keys())
 def test_little_is_drawn_without_a_warning(drawn):
-    assert "<svg" in svg(drawn())
+    assert "<svg" in svg(sketch(*drawn))
 
 
 def test_errors_that_do_not_spread_are_still_in_the_legend():
@@ -753,17 +641,3 @@ def test_a_thinned_curve_lies_nowhere_far_from_the_whole(samples, seed):
     for k in np.random.default_rng(seed).integers(at[0], at[-1], 20):
         near = walk[max(0, k - reach) : k + reach + 1]
         assert near.min() <= np.interp(k, at, kept) <= near.max()
-
-
-def test_no_two_compared_models_look_alike_even_without_colours():
-    rmse = dict.fromkeys(COMPARED, (1.0, 2.0))
-    axes = sketch("horizons", Horizons((1, 2), {"persistence": (1.0, 2.0), **rmse}), 0.01, "mm").axes[0]
-    lines = axes.get_lines()
-    assert len({line.get_marker() for line in lines}) == len(lines) == 9
-    assert len({str(line._dash_pattern) for line in lines}) == len(COMPARED)  # persistence is solid, as A
-    assert len({line.get_color() for line in lines}) == len(lines)
-
-
-def test_a_parameter_without_a_symbol_is_called_by_its_name():
-    trace = reported.trace(reported.estimate("speed_along", symbol="", unit="1/mm", linear=True))
-    assert sketch("convergence", trace.phase1, "mm").axes[1].get_ylabel() == "speed along\n/ 1/mm"

@@ -106,23 +106,28 @@ def documents():
     return document(STRINGS, PICTURED), document(BENIGN, BENIGN[:9])
 
 
+def assert_inert(text):
+    """Assert that no character of a text acts on a terminal."""
+    assert not {character for character in text if acts(character)} - {"\n", "\t"}
+
+
 def test_a_page_has_the_elements_of_one_with_harmless_texts(documents):
-    hostile, benign = (Elements(render(each, "html").decode()) for each in documents)
+    hostile, benign = (Elements(render(made, "html").decode()) for made in documents)
     assert hostile.elements == benign.elements
     shown = " ".join(" ".join(hostile.texts).split())
     assert all(" ".join(printable(text).split()) in shown for text in STRINGS)
-    assert not {character for text in hostile.texts for character in text if acts(character)} - {"\n", "\t"}
+    assert_inert("".join(hostile.texts))
 
 
 def test_the_data_of_an_interactive_page_stay_data(documents):
-    hostile, benign = (render(each, "interactive").decode() for each in documents)
+    hostile, benign = (render(made, "interactive").decode() for made in documents)
     assert Elements(hostile).elements == Elements(benign).elements
     (data,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', hostile, re.DOTALL)
     assert [test["name"] for test in json.loads(data)["sections"]["lifting"]] == list(map(printable, STRINGS))
 
 
-def test_a_figure_is_xml_with_the_elements_of_one_with_harmless_texts(documents):
-    hostile, benign = (ElementTree.fromstring(each.pictures[0].svg) for each in documents)  # noqa: S314 - our own
+def test_a_figure_is_xml_with_the_elements_of_a_harmless_one(documents):
+    hostile, benign = (ElementTree.fromstring(made.pictures[0].svg) for made in documents)  # noqa: S314 - our own
     # Each line of a text is an element of its own.
     known = {element.tag for element in benign.iter()} | {"{http://www.w3.org/2000/svg}tspan"}
     assert {element.tag for element in hostile.iter()} <= known
@@ -130,14 +135,14 @@ def test_a_figure_is_xml_with_the_elements_of_one_with_harmless_texts(documents)
     assert set(MATHEMATICS) <= texts
 
 
-def test_axes_of_the_caller_take_hostile_units_and_keep_their_own_texts():
+def test_the_callers_axes_take_hostile_units_and_keep_their_texts():
     figure = Figure()
     axes = figure.subplots(1, 2)
     axes[0].set_title("$x^2$")
     with canvas(axes, 1, 2, height_in=2.0) as drawn:
-        for each in drawn:
-            each.plot([0, 1], label="$\\frac$")
-            each.set_ylabel("displacement / $\\undefined$ \x1b")
+        for own in drawn:
+            own.plot([0, 1], label="$\\frac$")
+            own.set_ylabel("displacement / $\\undefined$ \x1b")
     figure.savefig(io.BytesIO(), format="png")
     assert axes[0].get_ylabel() == "displacement / $\\undefined$ \\u001b"
     assert axes[0].title.get_parse_math()
@@ -150,17 +155,16 @@ def test_a_table_of_markdown_keeps_its_cells(documents):
     assert {len(re.findall(r"(?<!\\)(?:\\\\)*\|", row)) for row in rows} == {3}
     for mark in "<`[":
         assert not re.search(rf"(?<!\\)(?:\\\\)*{re.escape(mark)}", text)
-    assert not {character for character in text if acts(character)} - {"\n", "\t"}
+    assert_inert(text)
 
 
 def test_text_for_a_terminal_and_junit_have_no_control_characters(documents):
-    text = render(documents[0], "terminal").decode()
-    assert not {character for character in text if acts(character)} - {"\n", "\t"}
+    assert_inert(render(documents[0], "terminal").decode())
     suite = ElementTree.fromstring(render(documents[0], "junit"))  # noqa: S314 - our own
     assert [case.get("name") for case in suite.iter("testcase")] == [printable(text) for text in STRINGS]
 
 
-def test_a_workbook_has_texts_and_no_formulas(documents):
+def test_a_workbook_has_no_formulas_and_a_pdf_is_made(documents):
     pytest.importorskip("xlsxwriter")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -174,9 +178,6 @@ def test_a_workbook_has_texts_and_no_formulas(documents):
     cells = list(sheet.iter(f"{space}c"))
     assert {cell.get("t") for cell in cells[::2] if cell.find(f"{space}v") is not None} == {"s"}
     assert [float(cell.find(f"{space}v").text) for cell in cells[3::2]] == [1.0] * len(STRINGS)
-
-
-def test_a_pdf_is_set_with_them(documents):
     pytest.importorskip("typst")
     assert render(documents[0], "pdf").startswith(b"%PDF")
 

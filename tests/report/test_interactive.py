@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 
 import validated
-from hitchid._support.inert import printable
 from hitchid.report import Document, render
 from hitchid.report.document import Signals
-from test_page import HOSTILE, read
+from test_page import read
 
 
-def page(signals, title="Validation"):
-    return render(Document(title, signals=signals), "interactive").decode()
+def page(signals):
+    return render(Document("Validation", signals=signals), "interactive").decode()
 
 
 def signals_of(tests):
@@ -42,17 +41,18 @@ def test_the_page_holds_every_sample_of_every_test_in_single_precision(text):
     tests, content = validated.predictions(), data(text)
     assert content["unit"] == "mm"
     held = content["sections"]["lifting"]
-    assert [each["name"] for each in held] == list(tests.names)
-    for index, each in enumerate(held):
-        pairs = [(each["time"], tests.time_s), (each["measured"], tests.actual)]
-        pairs += [(end, rows) for end, rows in zip(each["band"], tests.band, strict=True)]
-        pairs += [(model["values"], tests.models[model["key"]]) for model in each["models"]]
-        pairs += [(each["commands"][0]["values"], tests.commands["lifting_command"])]
+    assert [test["name"] for test in held] == list(tests.names)
+    for index, test in enumerate(held):
+        (command,) = test["commands"]
+        pairs = [(test["time"], tests.time_s), (test["measured"], tests.actual)]
+        pairs += [(end, rows) for end, rows in zip(test["band"], tests.band, strict=True)]
+        pairs += [(model["values"], tests.models[model["key"]]) for model in test["models"]]
+        pairs += [(command["values"], tests.commands["lifting_command"])]
         for values, rows in pairs:
             # Half a unit in the last of 24 binary digits.
             np.testing.assert_allclose(decoded(values), rows[index], rtol=2.0**-24)
-        assert {model["key"] for model in each["models"]} == set(tests.models)
-        assert each["commands"][0]["label"] == "lifting command / A"
+        assert {model["key"] for model in test["models"]} == set(tests.models)
+        assert command["label"] == "lifting command / A"
 
 
 def test_two_compared_models_are_drawn_as_two_lines():
@@ -78,19 +78,10 @@ def test_the_policy_permits_the_pages_own_script_and_style_alone(text):
 def test_a_page_asks_for_nothing(text):
     addresses = set(re.findall(r"https?://[^\s\"')]+", text))
     assert addresses == {"http://www.w3.org/2000/svg"}  # the name of SVG, which nothing fetches
-    for each in read(text).all():
-        assert not [name for name in each.attributes if name.startswith("on")]
-        assert each.get("src") is None
-        assert each.get("href") in (None, "data:,")
-
-
-@pytest.mark.parametrize("said", [*HOSTILE, "]]>\u2028\u2029", "log-\udcff"])
-def test_whatever_a_name_holds_it_is_data(said):
-    tests = validated.predictions((20, 30))
-    hostile = page(signals_of(replace(tests, names=(said, "b"))), title=said)
-    root = read(hostile)
-    assert len(list(root.all("script"))) == 2
-    assert data(hostile)["sections"]["lifting"][0]["name"] == printable(said)
+    for element in read(text).all():
+        assert not [name for name in element.attributes if name.startswith("on")]
+        assert element.get("src") is None
+        assert element.get("href") in (None, "data:,")
 
 
 def test_what_diverged_stays_what_it_is():
@@ -99,15 +90,12 @@ def test_what_diverged_stays_what_it_is():
     wild.models["free_run"][0][5:] = np.inf
     wild.models["free_run"][1][5:] = 1e300
     held = data(page(signals_of(wild)))["sections"]["lifting"]
-    for each in held:
-        (values,) = (decoded(m["values"]) for m in each["models"] if m["key"] == "free_run")
+    for test in held:
+        (values,) = (decoded(m["values"]) for m in test["models"] if m["key"] == "free_run")
         assert np.isinf(values[5:]).all()
         assert np.isfinite(values[:5]).all()
 
 
-def test_a_document_without_tests_gives_a_page(text):
-    assert data(page(None)) == {}
-
-
-def test_equal_documents_give_equal_bytes(text):
+def test_equal_documents_give_equal_bytes_and_none_a_page(text):
     assert page(signals_of(validated.predictions())) == text
+    assert data(page(None)) == {}

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import validated
-from browser import chromium
 from hitchid.report import Document, render
 from hitchid.report.document import Signals
 
@@ -17,13 +16,6 @@ DURATION_S = validated.predictions().time_s[0][-1]
 def shown():
     """Return tests, the second of which is long enough to be decimated."""
     return validated.predictions((300, 20000))
-
-
-@pytest.fixture(scope="module")
-def browser():
-    """Return Chromium, or skip what needs it."""
-    with chromium() as driven:
-        yield driven
 
 
 @pytest.fixture(scope="module")
@@ -40,15 +32,15 @@ def address(tmp_path_factory):
 @pytest.fixture
 def opened(browser, address):
     """Return a function that opens the page; at the end it has said nothing and asked for nothing else."""
-    contexts, said, asked = [], [], []
+    contexts, messages, requests = [], [], []
 
-    def open_page(width=1280, scheme="light"):
-        context = browser.new_context(viewport={"width": width, "height": 800}, color_scheme=scheme)
-        contexts.append(context)
-        page = context.new_page()
-        page.on("console", lambda message: said.append(message.text))
-        page.on("pageerror", lambda error: said.append(str(error)))
-        page.on("request", lambda request: asked.append(request.url))
+    def open_page(width=1280, scheme="light", **options):
+        viewport = {"width": width, "height": 800}
+        contexts.append(browser.new_context(viewport=viewport, color_scheme=scheme, **options))
+        page = contexts[-1].new_page()
+        page.on("console", lambda message: messages.append(message.text))
+        page.on("pageerror", lambda error: messages.append(str(error)))
+        page.on("request", lambda request: requests.append(request.url))
         page.goto(address)
         page.wait_for_function("document.querySelector('#readout tr') !== null")
         return page
@@ -56,12 +48,12 @@ def opened(browser, address):
     yield open_page
     for context in contexts:
         context.close()
-    assert said == []
-    assert set(asked) <= {address}
+    assert messages == []
+    assert set(requests) <= {address}
 
 
 def settled(page):
-    """Wait until what was asked for is drawn."""
+    """Wait until the page is drawn anew."""
     page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
 
@@ -174,12 +166,12 @@ def test_the_cursor_takes_the_range_with_it(opened):
         page.keyboard.press("+")
     start, stop = shown_range(page)
     page.keyboard.press("End")
-    after = shown_range(page)
-    assert after[1] == pytest.approx(DURATION_S, abs=0.01)
-    assert after[1] - after[0] == pytest.approx(stop - start, abs=0.02)
+    new_start, new_stop = shown_range(page)
+    assert new_stop == pytest.approx(DURATION_S, abs=0.01)
+    assert new_stop - new_start == pytest.approx(stop - start, abs=0.02)
 
 
-def test_a_test_and_a_direction_are_chosen_and_a_model_is_switched(opened):
+def test_test_and_direction_are_chosen_and_models_switched(opened):
     page, tests = opened(), shown()
     page.locator("#test").select_option(label="up-02")
     assert shown_range(page)[1] == pytest.approx(tests.time_s[1][-1], abs=0.01)
@@ -213,7 +205,7 @@ def test_a_decimated_curve_reaches_every_extreme(opened):
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [390, 768, 1280])
-def test_nothing_runs_over_the_width_of_the_screen_and_every_plot_is_drawn(opened, width, scheme):
+def test_nothing_overflows_the_screen_and_every_plot_is_drawn(opened, width, scheme):
     page = opened(width, scheme)
     settled(page)
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
@@ -225,11 +217,8 @@ def test_nothing_runs_over_the_width_of_the_screen_and_every_plot_is_drawn(opene
         assert inked > 500
 
 
-def test_a_touch_moves_the_cursor_and_buttons_zoom(browser, address):
-    context = browser.new_context(viewport={"width": 390, "height": 800}, has_touch=True, is_mobile=True)
-    page = context.new_page()
-    page.goto(address)
-    page.wait_for_function("document.querySelector('#readout tr') !== null")
+def test_a_touch_moves_the_cursor_and_buttons_zoom(opened):
+    page = opened(390, has_touch=True, is_mobile=True)
     before = values(page)["time"][0]
     box = canvas(page).bounding_box()
     page.touchscreen.tap(box["x"] + 0.8 * box["width"], box["y"] + 50)
@@ -238,4 +227,3 @@ def test_a_touch_moves_the_cursor_and_buttons_zoom(browser, address):
     assert np.diff(shown_range(page))[0] < DURATION_S
     page.get_by_role("button", name="Reset").tap()
     assert shown_range(page) == [0.0, pytest.approx(DURATION_S)]
-    context.close()

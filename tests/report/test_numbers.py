@@ -27,7 +27,7 @@ def test_a_value_has_the_digits_that_its_error_leaves_it(value, error, text):
 
 
 @given(value=st.floats(1e-2, 999.0), share=st.floats(1e-3, 1.0))
-def test_a_stated_value_is_the_value_to_a_twentieth_of_its_error(value, share):
+def test_a_stated_value_is_right_to_a_twentieth_of_its_error(value, share):
     error = share * value
     shown, doubt = map(float, numbers.with_error(value, error).split(" ± "))
     # Two digits of the error: half a unit of the second is a twentieth of it at most; beyond 10 four digits
@@ -53,5 +53,5 @@ def test_a_value_far_above_its_error_keeps_its_digits(value, error):
         ((-1.0, 0.0), "-1 … 0"),
     ],
 )
-def test_an_interval_in_a_table_leaves_out_ends_that_are_not_given(interval, text):
+def test_an_interval_leaves_out_ends_that_are_not_given(interval, text):
     assert numbers.interval(interval) == text

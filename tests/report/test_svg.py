@@ -14,21 +14,21 @@ import reported
 from hitchid._support.inert import printable
 from hitchid.plots.style import COLOURS, SHADES
 from hitchid.report.svg import inline_svg, svg
-from reported import PAPER, sketch
+from reported import sketch
 
 SVG, XLINK = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xlink}"
 DRAWN = {
-    "outputs": lambda: sketch("outputs", reported.predictions((900, 800)), "mm", PAPER),
-    "intervals": lambda: sketch("intervals", "title", reported.ESTIMATES),
-    "correlations": lambda: sketch("residual_correlations", reported.residuals()),
-    "distribution": lambda: sketch("error_distribution", {"free_run": np.arange(9.0)}, "mm"),
+    "outputs": ("outputs", reported.predictions((900, 800)), "mm", reported.PAPER),
+    "intervals": ("intervals", "title", reported.ESTIMATES),
+    "correlations": ("residual_correlations", reported.residuals()),
+    "distribution": ("error_distribution", {"free_run": np.arange(9.0)}, "mm"),
 }
 
 
 @pytest.fixture(scope="module")
 def files():
     """Return each figure as a file."""
-    return {name: svg(draw()) for name, draw in DRAWN.items()}
+    return {name: svg(sketch(*arguments)) for name, arguments in DRAWN.items()}
 
 
 @pytest.fixture(scope="module")
@@ -44,19 +44,15 @@ def references(text):
 
 
 @pytest.mark.parametrize("name", DRAWN)
-def test_a_figure_drawn_twice_gives_the_same_bytes(files, name):
-    assert svg(DRAWN[name]()) == files[name]
-
-
-@pytest.mark.parametrize("name", DRAWN)
-def test_a_file_stands_alone(files, name):
+def test_a_file_stands_alone_and_is_the_same_each_time(files, name):
     root = ElementTree.fromstring(files[name].encode())  # noqa: S314 - our own
     assert root.tag == f"{SVG}svg"
     assert {"width", "height", "viewBox"} <= set(root.attrib)
-    identifiers = {each.get("id") for each in root.iter()}
+    identifiers = {element.get("id") for element in root.iter()}
     assert references(files[name]) <= identifiers
     assert "<image" not in files[name]
     assert not re.search(r"\d{4}-\d\d-\d\dT", files[name]), "a date changes from run to run"
+    assert svg(sketch(*DRAWN[name])) == files[name]
 
 
 def test_rounding_moves_no_point_by_more_than_a_hundredth():
@@ -77,21 +73,16 @@ def test_rounding_moves_no_point_by_more_than_a_hundredth():
 def test_text_stays_text(files, page):
     for text in (files["outputs"], page):
         root = ElementTree.fromstring(text.encode())  # noqa: S314 - our own
-        words = {"".join(each.itertext()).strip() for each in root.iter(f"{SVG}text")}
+        words = {"".join(element.itertext()).strip() for element in root.iter(f"{SVG}text")}
         assert {"displacement / mm", "measured", "time, test after test / s"} <= words
 
 
-def test_figures_in_one_page_share_no_identifier_and_every_reference_resolves(page):
+def test_figures_of_a_page_share_no_identifier_and_references_resolve(page, files):
     identifiers = re.findall(r'\bid="([^"]+)"', page)
     assert len(identifiers) == len(set(identifiers)) > 4
     assert references(page) == set(identifiers), "what is not referred to needs no identifier"
-
-
-def test_the_same_figure_under_two_names_shares_no_identifier(files):
-    elements = [inline_svg(files["outputs"], name, "") for name in "ab"]
-    one, other = (set(re.findall(r'\bid="([^"]+)"', element)) for element in elements)
-    assert one
-    assert not one & other
+    # Nor do two of the same figure.
+    assert not references(inline_svg(files["outputs"], "other", "")) & set(identifiers)
 
 
 def test_every_colour_of_the_palette_became_one_of_the_page(files, page):
@@ -105,47 +96,33 @@ def test_every_colour_of_the_palette_became_one_of_the_page(files, page):
 def test_black_of_matplotlib_does_not_stay_where_the_page_is_dark(page):
     # A shape without a fill or stroke of its own is black; only shapes in definitions may leave it open.
     root = ElementTree.fromstring(page.encode())  # noqa: S314 - our own
-    inherited = {}
-    for parent in root.iter():
-        for child in parent:
-            inherited[child] = parent
+    parents = {child: parent for parent in root.iter() for child in parent}
 
     def styles(element):
         while element is not None:
             yield element.get("style") or ""
-            element = inherited.get(element)
+            element = parents.get(element)
 
-    inside = {each for definitions in root.iter(f"{SVG}defs") for each in definitions.iter()}
+    inside = {element for definitions in root.iter(f"{SVG}defs") for element in definitions.iter()}
     for kind in ("path", "text", "use"):
-        for each in root.iter(f"{SVG}{kind}"):
-            if each not in inside:
-                said = ";".join(styles(each))
-                assert re.search(r"(fill|stroke): *(none|var)", said), ElementTree.tostring(each)
+        for element in set(root.iter(f"{SVG}{kind}")) - inside:
+            style = ";".join(styles(element))
+            assert re.search(r"(fill|stroke): *(none|var)", style), ElementTree.tostring(element)
 
 
-def test_an_element_in_a_page_has_the_shape_of_the_figure_and_no_size(page):
+def test_an_element_of_a_page_has_shape_text_no_size(page):
+    for tag in ("<style", "<metadata", "<?xml", "<!DOCTYPE", "<script"):
+        assert tag not in page
     root = ElementTree.fromstring(page.encode())  # noqa: S314 - our own
-    elements = root.findall(f"{SVG}svg")
-    assert len(elements) == len(DRAWN)
-    for element in elements:
+    for name, element in zip(DRAWN, root.findall(f"{SVG}svg"), strict=True):
+        assert element.get("role") == "img"
+        assert element.get("aria-label") == f"what {name} shows"
         assert not {"width", "height"} & set(element.attrib)
         left, top, width, height = map(float, element.get("viewBox").split())
         assert (left, top) == (0, 0)
         # A column of 3.5 inch is 252 pt.
         assert width == pytest.approx(252, abs=0.01)
         assert height > 100
-
-
-def test_an_element_in_a_page_has_neither_metadata_nor_a_style_of_its_own(page):
-    for tag in ("<style", "<metadata", "<?xml", "<!DOCTYPE", "<script"):
-        assert tag not in page
-
-
-def test_an_element_is_an_image_with_a_text(page):
-    root = ElementTree.fromstring(page.encode())  # noqa: S314 - our own
-    for name, element in zip(DRAWN, root.findall(f"{SVG}svg"), strict=True):
-        assert element.get("role") == "img"
-        assert element.get("aria-label") == f"what {name} shows"
 
 
 @given(st.text(st.characters(exclude_categories=("Cs", "Cc"))))
@@ -163,11 +140,11 @@ def test_numbers_that_are_read_keep_all_their_digits(name):
     assert f">{name}</text>" in svg(figure)
 
 
-def test_a_name_that_looks_like_a_colour_or_a_reference_stays_as_it_is():
+def test_a_name_like_a_colour_or_reference_stays_as_it_is():
     name = f'log {COLOURS["ink"]} url(#a) id="x" <b>'
     figure = Figure()
     figure.text(0.1, 0.1, name)
     root = ElementTree.fromstring(  # noqa: S314 - our own
         f'<div xmlns:xlink="{XLINK[1:-1]}">{inline_svg(svg(figure), "one", "")}</div>'.encode()
     )
-    assert name in ["".join(each.itertext()).strip() for each in root.iter("text")]
+    assert name in ["".join(element.itertext()).strip() for element in root.iter("text")]

@@ -103,6 +103,8 @@ def test_the_verdict_follows_from_the_tables(seed):
     else:
         # The sentence has three digits, the table those that its standard error leaves.
         assert figure(r"fit (\S+) %", free_run) == pytest.approx(fit, rel=0.01, abs=0.5)
+        assert f"RMSE {free_runs['grey box'][2]} mm" in free_run.sentence
+        assert f"{count} unseen test" in free_run.sentence
         assert ("not usable" in use, "rough" in use) == (fit < 50, 50 <= fit < 80)
         assert free_run.level is Rating.BAD or fit >= 50
         fits = {row[0]: number(row[4]) for row in read("test by test").rows}
@@ -145,3 +147,5 @@ def test_the_verdict_follows_from_the_tables(seed):
         words = f"{lacking} of {len(verdicts)} parameter" if lacking else f"{len(verdicts)} parameter"
         single = len(verdicts) == 1 and "the one parameter" in use
         assert words in use or single or "diverged" in use
+    else:
+        assert not [finding for finding in findings if "parameter" in finding.sentence]

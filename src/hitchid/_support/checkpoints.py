@@ -92,6 +92,7 @@ class Checkpoints:
         path = self.folder / f"{legible}-{digest(repr(names).encode())[:HASH_LENGTH]}{SUFFIX}"
         arrays = _read(path)
         if arrays is None or (shapes is not None and not _has_shapes(arrays, shapes)):
+            # A damaged or foreign file is no error: what can be computed anew is.
             arrays = dict(work())
             content = io.BytesIO()
             np.savez(content, allow_pickle=False, **arrays)

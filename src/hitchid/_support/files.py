@@ -100,15 +100,10 @@ def inside_folder(path: Path) -> Path:
 
 
 def write_folder(folder: Path, write: Callable[[Path], None], *, result_kind: str, force: bool) -> None:
-    """Write a folder atomically: into a temporary folder, which is then renamed.
+    """Write a folder atomically: `write` fills a temporary folder, which is then renamed.
 
-    `.hitchid.json` in it lists its files with their SHA-256.
-
-    Args:
-        folder: the folder to write.
-        write: fills a folder.
-        result_kind: kind of the result, named after its main file; `force` replaces no other kind.
-        force: replace an older result, if no file in it was added or changed.
+    `.hitchid.json` in it lists its files with their SHA-256. `force` replaces an older result of the same
+    kind, named after its main file, if no file in it was added or changed.
 
     Raises:
         OutputError: the folder exists already, or cannot be written.
@@ -124,6 +119,7 @@ def write_folder(folder: Path, write: Callable[[Path], None], *, result_kind: st
                 {MANIFEST_FILE: canonical_json({"kind": result_kind, "files": _digests(temporary)})},
             )
             os.chmod(temporary, 0o755)  # noqa: S103
+            # Contents reach the disk before the name does: after a power cut no result is empty.
             fsync(*temporary.rglob("*"), temporary)
             check_folder(folder, result_kind=result_kind, force=force)  # it may exist by now
             backup = temporary.with_name(f"{temporary.name}-older")
@@ -328,12 +324,7 @@ def check_file(path: Path, *, force: bool) -> None:
 
 
 def write_file(path: Path, write: Callable[[Path], object], *, force: bool) -> None:
-    """Write a file atomically: into a temporary folder, then rename it.
-
-    Args:
-        path: the file to write.
-        write: writes a file of the same name.
-        force: replace an existing file.
+    """Write a file atomically: `write` writes one of its name in a temporary folder, which is then renamed.
 
     Raises:
         OutputError: the file exists already, or cannot be written.

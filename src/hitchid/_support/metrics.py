@@ -65,15 +65,9 @@ def error_figures(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray])
 
 
 def rmse_error(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray]) -> float:
-    """Return the standard error of the pooled root mean square error, tests being independent.
+    """Return the standard error of the pooled root mean square error; NaN for a single test.
 
-    The jackknife, s² = (T − 1)/T Σ (r_t − r̄)², r_t being the figure without test t.
-
-    Args:
-        actual, predicted: as for `error_figures`.
-
-    Returns:
-        In the displacement's unit; NaN for a single test.
+    Tests are independent: the jackknife, s² = (T − 1)/T Σ (r_t − r̄)², r_t being the figure without test t.
     """
     errors = [np.asarray(p) - np.asarray(a) for a, p in zip(actual, predicted, strict=True)]
     tests = len(errors)
@@ -95,15 +89,8 @@ def better_p_value(errors: np.ndarray, other_errors: np.ndarray, samples: np.nda
 
     d = ln r₂ − ln r over all samples, r₂ being the error of the other model; its standard error s is by the
     jackknife over the tests. d/s is compared with Student's t at T − 1 degrees of freedom. Logarithms are
-    used since errors of tests differ by factors.
-
-    Args:
-        errors, other_errors: root mean square error of each test, of the one and of the other, shape [T];
-            infinite where a model diverged.
-        samples: number of samples of each test, shape [T].
-
-    Returns:
-        From 0 to 1; 1 for a single test, and for a model that diverged.
+    used since errors of tests differ by factors. 1 for a single test, and for a model that diverged, whose
+    errors are infinite.
     """
     tests = errors.size
     if not np.all(np.isfinite(errors)) or tests < 2:
@@ -118,6 +105,7 @@ def better_p_value(errors: np.ndarray, other_errors: np.ndarray, samples: np.nda
         ]
         return float(np.log(pooled[0]) - np.log(pooled[1]))
 
+    # Errors of one test are correlated, so tests are left out, not samples.
     test_indices = np.arange(tests)
     with np.errstate(divide="ignore", invalid="ignore"):
         overall = log_ratio(test_indices >= 0)
@@ -131,16 +119,10 @@ def better_p_value(errors: np.ndarray, other_errors: np.ndarray, samples: np.nda
 
 
 def holm(p_values: Sequence[float]) -> tuple[float, ...]:
-    """Return p-values adjusted for the number of comparisons (Holm 1979).
+    """Return p-values adjusted for the number of comparisons, at most 1 (Holm 1979).
 
     The k-th smallest of m is multiplied by m − k + 1, and is at least the adjusted one before it. Where all
     adjusted values below a level α count as significant, the probability of any false one is at most α.
-
-    Args:
-        p_values: of all comparisons, in any order.
-
-    Returns:
-        The adjusted values in the same order, at most 1.
     """
     order = np.argsort(p_values, kind="stable")
     factors = np.arange(len(order), 0, -1)
@@ -155,10 +137,6 @@ def better_on_held_out_tests(errors: np.ndarray, other_errors: np.ndarray, compa
     Both conditions: a root mean square error smaller by 2 % over all tests (a smaller difference has no
     use), and `log_ratio_p_value` below 10 % divided by the number of comparisons (Bonferroni): where the
     models of so many comparisons are equally good, any is found better with a probability of at most 10 %.
-
-    Args:
-        errors, other_errors: root mean square error of each test, of the one and of the other, shape [T].
-        comparisons: number of comparisons in one choice.
     """
     if not errors.size:  # where all tests that are held out are of one fold, no other has chosen
         return False
@@ -172,13 +150,7 @@ def log_ratio_p_value(errors: np.ndarray, other_errors: np.ndarray) -> float:
 
     The mean of d = ln(r₂/r), r₂ being the error of the other model on a test, over its standard error is
     compared with Student's t at T − 1 degrees of freedom. Logarithms are used since errors of tests differ by
-    factors; each test weighs the same.
-
-    Args:
-        errors, other_errors: root mean square error of each test, of the one and of the other, shape [T].
-
-    Returns:
-        From 0 to 1; 1 for a single test.
+    factors; each test weighs the same. 1 for a single test.
     """
     tests = errors.size
     if tests < 2:

@@ -13,15 +13,7 @@ Result = TypeVar("Result")
 
 
 def attempt(description: str, compute: Callable[[], Result], notices: list[str]) -> Result | None:
-    """Compute an optional part of a result.
-
-    Args:
-        description: what it is, for the notice.
-        compute: computes it.
-        notices: gets a sentence where the part fails.
-
-    Returns:
-        The part; None where it failed, for whatever cause.
+    """Compute an optional part of a result; where it fails, for whatever cause, it is None, with a notice.
 
     Raises:
         OutputError: a checkpoint cannot be written, as on a full disk.

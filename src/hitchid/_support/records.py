@@ -55,16 +55,12 @@ def _brief(value: object) -> str:
         items = [f"{key}: {text}" if (text := _single(item)) else f"{key}" for key, item in value.items()]
         return shortened("{" + ", ".join(items) + "}")
     if isinstance(value, tuple | list | frozenset) and not hasattr(value, "_fields"):
-        return _brief_items(list(value))
+        texts = [_single(item) for item in value]
+        if len(texts) <= MAX_ITEMS and all(texts):
+            return f"({', '.join(texts)})"
+        kinds = {"number" if isinstance(item, Real) else type(item).__name__ for item in value}
+        return count(len(texts), kinds.pop() if len(kinds) == 1 else "item")
     return text if "\n" not in (text := repr(value)) and len(text) <= MAX_NESTED else type(value).__name__
-
-
-def _brief_items(items: list) -> str:
-    texts = [_single(item) for item in items]
-    if len(items) <= MAX_ITEMS and all(texts):
-        return f"({', '.join(texts)})"
-    kinds = {"number" if isinstance(item, Real) else type(item).__name__ for item in items}
-    return count(len(items), kinds.pop() if len(kinds) == 1 else "item")
 
 
 def _single(value: object) -> str:
@@ -177,7 +173,9 @@ def same(one: object, other: object) -> bool:
     if is_dataclass(one) and type(one) is type(other):
         return same_fields(one, other)
     if hasattr(one, "__array__") or isinstance(one, float):
-        return _same_numbers(one, other)
+        first, second = np.asarray(one), np.asarray(other)
+        # NumPy can compare NaN only where both are floats.
+        return np.array_equal(first, second, equal_nan=first.dtype.kind == second.dtype.kind == "f")
     return bool(one == other)
 
 
@@ -190,12 +188,8 @@ def _compared(value: object) -> list[str]:
     return [field.name for field in fields(value) if field.compare]  # pyright: ignore[reportArgumentType]
 
 
-def _same_numbers(one: object, other: object) -> bool:
-    first, second = np.asarray(one), np.asarray(other)
-    return np.array_equal(first, second, equal_nan=first.dtype.kind == second.dtype.kind == "f")
-
-
 def _hashed(value: object) -> object:
+    # Of what is no text or number the length is enough: equal records have equal lengths.
     if isinstance(value, str | int | float):
         return value
     return len(value) if isinstance(value, Sized) else None

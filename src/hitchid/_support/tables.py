@@ -60,9 +60,14 @@ class Summary:
 
     def text(self) -> str:
         """Return at most 25 lines of at most 110 characters."""
+        rows = [self.header, *self.rows]
+        widths = [min(max(map(len, column)), MAX_WIDTH // 3) for column in zip(*rows, strict=True)][:-1]
+        lines = [shortened(self.title)]
+        for *cells, last in rows:
+            padded = [shortened(cell, width).ljust(width) for cell, width in zip(cells, widths, strict=True)]
+            lines += wrapped(GAP + "".join(cell + GAP for cell in padded), last)
         notes = [line for note in self.notes for line in wrapped(GAP, note)[:NOTE_LINES]]
-        table = _table_lines([self.header, *self.rows])
-        return screen([shortened(self.title), *table], notes)
+        return screen(lines, notes)
 
     def html(self) -> str:
         """Return an HTML element with the table; text is escaped, colours are those of the page."""
@@ -127,16 +132,6 @@ def first_to_last(names: Sequence[str]) -> str:
     return (", " if len(names) <= 2 else " … ").join(shown)
 
 
-def _table_lines(rows: Sequence[Sequence[str]]) -> list[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)][:-1]
-    widths = [min(width, MAX_WIDTH // 3) for width in widths]
-    lines = []
-    for *cells, last in rows:
-        padded = [shortened(cell, width).ljust(width) for cell, width in zip(cells, widths, strict=True)]
-        lines += wrapped(GAP + "".join(cell + GAP for cell in padded), last)
-    return lines
-
-
 def wrapped(start: str, text: str) -> list[str]:
     """Return a text in lines that fit on the screen, the first after `start`, the others indented as far."""
     lines = textwrap.wrap(" ".join(text.split()), max(MAX_WIDTH - len(start), MAX_WIDTH // 4)) or [""]
@@ -163,26 +158,21 @@ def sparkline(curves: Sequence[np.ndarray], label: str, scales: Sequence[np.ndar
         label: text for screen readers.
         scales: for each curve the values between whose least and largest it is drawn; by default its own.
     """
-    lines = [
-        _polyline(curve, scale, opacity)
-        for curve, scale, opacity in zip(curves, scales or curves, OPACITIES, strict=False)
-    ]
+    lines = []
+    for curve, scale, opacity in zip(curves, scales or curves, OPACITIES, strict=False):
+        positions, values = _thinned(curve)
+        ends = scale[np.isfinite(scale)]
+        if not values.size or not ends.size:
+            continue
+        lowest, span = ends.min(), np.ptp(ends) or 1.0
+        x = MARGIN + (WIDTH - 2 * MARGIN) * positions
+        y = HEIGHT - MARGIN - (HEIGHT - 2 * MARGIN) * np.clip((values - lowest) / span, 0.0, 1.0)
+        points = " ".join(f"{left:.0f},{top:.1f}" for left, top in zip(x, y, strict=True))
+        lines.append(f'<polyline points="{points}" stroke-opacity="{opacity}"/>')
     return (
         f'<svg role="img" aria-label="{html_text(label)}" width="{WIDTH}" height="{HEIGHT}" '
         f'viewBox="0 0 {WIDTH} {HEIGHT}" fill="none" stroke="currentColor">{"".join(reversed(lines))}</svg>'
     )
-
-
-def _polyline(curve: np.ndarray, scale: np.ndarray, opacity: float) -> str:
-    positions, values = _thinned(curve)
-    ends = scale[np.isfinite(scale)]
-    if not values.size or not ends.size:
-        return ""
-    lowest, span = ends.min(), np.ptp(ends) or 1.0
-    x = MARGIN + (WIDTH - 2 * MARGIN) * positions
-    y = HEIGHT - MARGIN - (HEIGHT - 2 * MARGIN) * np.clip((values - lowest) / span, 0.0, 1.0)
-    points = " ".join(f"{left:.0f},{top:.1f}" for left, top in zip(x, y, strict=True))
-    return f'<polyline points="{points}" stroke-opacity="{opacity}"/>'
 
 
 def _thinned(curve: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

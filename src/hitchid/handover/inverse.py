@@ -185,7 +185,9 @@ class _Inverse:
                 f"speeds: no command gives {unreached[0]:.4g} {self.speed_unit}, since the valve saturates; "
                 "expected less"
             )
+        # Only after the commands are known: a map that falls beyond them does no harm.
         self._check_rising(float(commands.max()))
+        # The proof of an inverse, whatever way it was found.
         errors = np.abs(self._speeds(commands) - sizes)
         if np.any(errors > ROUND_TRIP * sizes) or np.any(np.diff(commands) <= 0):
             worst = sizes[int(np.argmax(errors - ROUND_TRIP * sizes))]

@@ -189,6 +189,7 @@ def linearise_hitch(
         default_command(here) if effective is None else jnp.asarray(effective),
         default_displacement(here) if place is None else jnp.asarray(place),
     )
+    # The draws are linearised at the same point, so that they differ by their parameters alone.
     vectors, drawn = draws_of(model, channel.direction, seed, draws) if draws else None, None
     if vectors is not None:
         linear_models = small_signals(benchmark, jnp.asarray(vectors), at_load, *point)

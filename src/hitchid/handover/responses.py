@@ -193,7 +193,22 @@ def step_responses(
         duration_s: length, s.
         vectors: parameter vectors of the band, shape [S, R]; None for no band.
     """
-    batch = _step_batch(channel, levels, duration_s / (STEP_SAMPLES - 1))
+    raw_command = np.repeat(np.asarray(levels, dtype=np.float64)[:, None], STEP_SAMPLES, axis=1)
+    initial, benchmark = _middle(channel), channel.benchmark
+    everywhere = jnp.asarray(np.ones(raw_command.shape, dtype=bool))
+    batch = Batch(
+        command=jnp.asarray(effective_command(raw_command, channel.dead_zone)),
+        raw_command=jnp.asarray(raw_command),
+        dead_zone=jnp.full(len(levels), channel.dead_zone),
+        displacement=jnp.full(raw_command.shape, initial),
+        valid=everywhere,
+        loss_mask=everywhere,
+        initial=jnp.full(len(levels), initial),
+        covariates=jnp.tile(benchmark.mean_load, (len(levels), 1))[:, : len(benchmark.covariates)],
+        step_s=duration_s / (STEP_SAMPLES - 1),
+        sign=channel.sign,
+        covariate_names=benchmark.covariates,
+    )
     travel = np.asarray(channel.benchmark.travel(batch))
     draws = None if vectors is None else np.asarray(_travels(channel.benchmark, jnp.asarray(vectors), batch))
     time_s = batch.step_s * np.arange(STEP_SAMPLES)
@@ -215,12 +230,7 @@ def step_responses(
 
 @double_precision
 def steady_speeds(channel: Channel, commands: Float[np.ndarray, " q"]) -> np.ndarray:
-    """Return the speed at each constant command after the transients, at mid stroke and mean load, shape [Q].
-
-    Args:
-        channel: of one direction, with a linear structure.
-        commands: in the command's unit, shape [Q].
-    """
+    """Return the speed at each constant command after the transients, at mid stroke and mean load."""
     displacement = _middle(channel)
     speeds = steady_speed(channel.benchmark, jnp.asarray(commands), channel.dead_zone, displacement)
     return np.asarray(speeds)
@@ -285,26 +295,6 @@ def _polar(linear: SmallSignal, frequency_hz: np.ndarray) -> tuple[np.ndarray, n
     phase_rad = np.unwrap(np.angle(rational), axis=-1)
     dead_time_s = np.asarray(linear.dead_time_s)[..., None]
     return np.abs(rational), phase_rad - 2 * np.pi * frequency_hz * dead_time_s
-
-
-def _step_batch(channel: Channel, levels: Sequence[float], step_s: float) -> Batch:
-    """Return steps of the command at the first sample as tests, shape [L, 512]."""
-    raw_command = np.repeat(np.asarray(levels, dtype=np.float64)[:, None], STEP_SAMPLES, axis=1)
-    initial, benchmark = _middle(channel), channel.benchmark
-    everywhere = np.ones(raw_command.shape, dtype=bool)
-    return Batch(
-        command=jnp.asarray(effective_command(raw_command, channel.dead_zone)),
-        raw_command=jnp.asarray(raw_command),
-        dead_zone=jnp.full(len(levels), channel.dead_zone),
-        displacement=jnp.full(raw_command.shape, initial),
-        valid=jnp.asarray(everywhere),
-        loss_mask=jnp.asarray(everywhere),
-        initial=jnp.full(len(levels), initial),
-        covariates=jnp.tile(benchmark.mean_load, (len(levels), 1))[:, : len(benchmark.covariates)],
-        step_s=step_s,
-        sign=channel.sign,
-        covariate_names=benchmark.covariates,
-    )
 
 
 def _middle(channel: Channel) -> float:

@@ -30,13 +30,8 @@ if TYPE_CHECKING:
 def linear_channel(model: "Hitch", direction: str | None, *, instead: str) -> Channel:
     """Return the channel of a direction; None stands for the only one of a model with one channel.
 
-    Args:
-        model: the model.
-        direction: of the channel.
-        instead: what to use where its structure is not linear, for the message.
-
     Raises:
-        InputError: the model has no such channel, or its structure is not linear.
+        InputError: the model has no such channel, or its structure is not linear; then use `instead`.
     """
     if direction is None and len(model.channels) == 1:
         (channel,) = model.channels.values()
@@ -155,6 +150,7 @@ def _ends(
     extra = _gain_error(channel, points, held_loads, estimates)
     begin = (characteristics.opening or characteristics.dead_zone).interval[0] or 0.0
     fade = np.clip((size - begin) / max(levels[0] - begin, np.finfo(float).tiny), 0.0, 1.0)
+    # Below the lowest level the width is a share of the speed there: of one near zero it would be none.
     speeds, reference = (
         np.abs(_speeds(channel, points._replace(command=command)))
         for command in (size, np.maximum(size, levels[0]))

@@ -17,7 +17,7 @@ from hitchid.identification.phase1 import Phase1
 from hitchid.identification.speed_training import HoldoutTest
 from hitchid.logs.record import DISPLACEMENT
 from hitchid.model import Characteristics, Hitch, Rivals, Uncertainty, save
-from hitchid.model.summary import hitch_summary
+from hitchid.model.parameters import hitch_summary
 
 MAX_NOTICES = 3  # that are shown; chosen
 

@@ -161,12 +161,8 @@ def bands_by_channel(bands: Mapping[str, Bands], directions: Sequence[str]) -> l
 def free_run_half_width(bands: Sequence[Bands], spreads: Sequence[np.ndarray], coverage: float) -> np.ndarray:
     """Return the half width of the band around a free run, in the displacement's unit.
 
-    √(z² n² + Σ q² s²), the sum over channels; n is the largest noise of any channel.
-
-    Args:
-        bands: bands of each channel.
-        spreads: s = √(Σ w² (y_a − y)²) of each channel's ensemble at each sample.
-        coverage: share of samples within the band.
+    √(z² n² + Σ q² s²), the sum over channels; n is the largest noise of any channel, and the spread of a
+    channel's ensemble at each sample is s = √(Σ w² (y_a − y)²).
 
     Raises:
         InputError: the coverage is outside the levels of a channel.

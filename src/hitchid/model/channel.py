@@ -48,15 +48,8 @@ def predict_errors(
 ) -> Float[Array, "h t n"]:
     """Return the prediction ê at every sample from measurements up to h samples before, for each h.
 
-    Near the start of a test, sample k < h is predicted from sample 0.
-
-    Args:
-        predictor: filter and compensator.
-        tests: arrays of shape [T, N].
-        trust: factor on the predicted increments, 0 to 1, shape [T, N].
-        horizons: prediction horizons h, in samples.
-        step_s: sampling time, s.
-        every: predictions start from every so many samples; those from other samples are NaN.
+    Near the start of a test, sample k < h is predicted from sample 0. The trust, 0 to 1, is a factor on the
+    predicted increments. Predictions start from every `every`-th sample; those from other samples are NaN.
     """
 
     def errors_of_test(test_and_trust: tuple[Sample, Array]) -> Float[Array, "h n"]:
@@ -84,18 +77,10 @@ def multi_step_errors(
     step_s: float,
     every: int = 1,
 ) -> Float[Array, "h m"]:
-    """Return ê(i+h) for h = 1 … horizon from every m-th sample i of one measured test.
+    """Return ê(i+h) for h = 1 … horizon from every m-th sample i of one measured test, arrays of shape [N].
 
-    To the error that the filter predicts the compensator adds the innovation to come, up to its largest
-    horizon. Up to the origin filter and features use measurements, beyond it the model's own output.
-
-    Args:
-        predictor: filter and compensator.
-        test: one test, arrays of shape [N].
-        trust: factor on the predicted increments, shape [N].
-        horizon: largest prediction horizon, in samples.
-        step_s: sampling time, s.
-        every: m, samples from one origin to the next.
+    To the error that the filter predicts the compensator adds the innovation to come, times the trust, up to
+    its largest horizon. Up to the origin filter and features use measurements, beyond it the model's output.
     """
     count = trust.shape[0]
     origins = np.arange(0, count, every)
@@ -112,9 +97,8 @@ def multi_step_errors(
         return filtered(estimates, 0)
     corrected = min(horizon, compensator.max_horizon)
 
-    def advance_measured(
-        state: CompensatorState, inputs: tuple[Sample, Array]
-    ) -> tuple[CompensatorState, tuple[CompensatorState, Array]]:
+    # One pass over the measured samples gives the state at all origins at once.
+    def advance_measured(state: CompensatorState, inputs: tuple[Sample, Array]) -> tuple:
         sample, factor = inputs
         state, innovation = compensator.step(state, sample, step_s)
         return state, (state, factor * innovation)
@@ -123,29 +107,28 @@ def multi_step_errors(
     _, measured = jax.lax.scan(advance_measured, compensator.init_state(first), (test, trust))
     states, innovations = jax.tree.map(lambda values: values[::every], measured)
 
+    # From each origin the compensator hears the error that it predicts itself, sample by sample.
     def from_origin(
         origin: Array, state: CompensatorState, estimate: ErrorEstimate, innovation: Array
-    ) -> tuple[ErrorEstimate, Float[Array, " c"]]:
+    ) -> tuple:
         def advance(carry: tuple, index: Array) -> tuple[tuple, Array]:
             state, estimate, innovation = carry
             increment = test.benchmark[index] - test.benchmark[jnp.maximum(index - 1, origin)]
             estimate = load_filter.advance(estimate, increment, step_s)
             error = estimate.error + innovation
             sample = jax.tree.map(lambda array: array[index], test)
-            state, ahead = compensator.step(
-                state, sample._replace(displacement=sample.benchmark + error), step_s
-            )
+            predicted = sample._replace(displacement=sample.benchmark + error)
+            state, ahead = compensator.step(state, predicted, step_s)
             return (state, estimate.with_innovation(innovation), trust[index] * ahead), error
 
+        # Beyond the end of the test the last sample is repeated; nobody reads what is predicted there.
         ahead = jnp.minimum(origin + jnp.arange(1, corrected + 1), count - 1)
         (_, estimate, _), errors = jax.lax.scan(advance, (state, estimate, innovation), ahead)
         return estimate, errors
 
     by_origin = jax.vmap(from_origin, in_axes=(0, 0, -1, 0), out_axes=-1)
     estimates, errors = by_origin(jnp.asarray(origins), states, estimates, innovations)
-    if corrected == horizon:
-        return errors
-    return jnp.concatenate([errors, filtered(estimates, corrected)])
+    return errors if corrected == horizon else jnp.concatenate([errors, filtered(estimates, corrected)])
 
 
 RECORDS = 'records as hitchid.read("logs").records holds them'

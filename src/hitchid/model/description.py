@@ -117,6 +117,7 @@ def describe_channel(channel: Channel) -> dict[str, object]:
     """Return the channel without its trained arrays as content for JSON."""
     benchmark, curves = channel.benchmark, channel.benchmark.nonlinearity
     compensator, speed = channel.compensator, channel.speed_compensator
+    scheduling = benchmark.scheduling
     return {
         "direction": channel.sign,
         "dead_zone": channel.dead_zone,
@@ -131,7 +132,15 @@ def describe_channel(channel: Channel) -> dict[str, object]:
             "values": [float(value) for value in curves.values],
             "scales": {name: float(getattr(curves.scales, name)) for name in _SCALES},
         },
-        "scheduling": _describe_scheduling(benchmark),
+        "scheduling": None
+        if scheduling is None or curves is None
+        else {
+            "covariates": list(scheduling.covariates),
+            "quantities": list(scheduling.quantities),
+            "centre": curves.scales.covariates.centre.tolist(),
+            "spread": curves.scales.covariates.spread.tolist(),
+            "effects": scheduling.effects.tolist(),
+        },
         "compensator": None
         if compensator is None
         else {
@@ -254,20 +263,6 @@ def _read_speed_compensator(
     scales = (jnp.ones(()), jnp.ones(()), jnp.ones(()))
     skeleton = SpeedCompensator(networks, *scales, _empty_range(loads), sign)
     return fill(skeleton, tensors, prefix)
-
-
-def _describe_scheduling(benchmark: PhysicalModel) -> dict[str, object] | None:
-    scheduling, nonlinearity = benchmark.scheduling, benchmark.nonlinearity
-    if scheduling is None or nonlinearity is None:
-        return None
-    scales = nonlinearity.scales.covariates
-    return {
-        "covariates": list(scheduling.covariates),
-        "quantities": list(scheduling.quantities),
-        "centre": scales.centre.tolist(),
-        "spread": scales.spread.tolist(),
-        "effects": scheduling.effects.tolist(),
-    }
 
 
 def _empty_range(loads: int) -> OperatingRange:

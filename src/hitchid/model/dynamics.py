@@ -114,17 +114,25 @@ class HitchDynamics(eqx.Module):
                 keeps its last value.
             measured: displacement at this sample; not finite where it was not measured.
         """
-        next_state, network_input = self._advance_physics(state, commands, measured)
+        next_state, reset, demands = self._take_charge(state, commands, measured)
+        next_state, network_input = self._move(next_state, reset, demands)
         hidden, output = self._advance_network(next_state.hidden, network_input)
         return next_state._replace(hidden=hidden, **output._asdict()), output.displacement
 
-    def _advance_physics(
+    def _take_charge(
         self, state: HitchState, commands: Float[Array, "2"], measured: Float[Array, ""]
-    ) -> tuple[HitchState, NetworkInput]:
-        """Return the next state without the network's prediction, and its inputs; see `_advance_network`."""
+    ) -> tuple[HitchState, Bool[Array, ""], list[Bool[Array, ""]]]:
+        """Return the state after measurement and commands of a sample, before the piston moves.
+
+        Beside it: whether the features of the compensator begin anew, and which valves demand motion.
+        """
+        # A command that is lost or absurd keeps its last value, as the valve does; not finite ones compare as
+        # false, so that no NaN gets into the state, where it would stay.
         command_valid = jnp.abs(commands) < MAX_MAGNITUDE
         commands = jnp.where(command_valid, commands, state.commands)
         is_measured = jnp.abs(measured) < MAX_MAGNITUDE
+        # Every valve follows its command, also while another channel moves the piston: lags and dead times
+        # run on, and after a reversal what was commanded before it still plays out.
         valves = tuple(
             self._discrete_model(number, state.channels[number]).step_valve(
                 state.channels[number].valve, commands[DIRECTIONS.index(channel.direction)]
@@ -136,6 +144,8 @@ class HitchDynamics(eqx.Module):
         for number, demand in enumerate(demands):
             # If both valves demand motion, the last direction takes precedence: lowering.
             mode = jnp.where(demand, number, mode)
+        # The measurement belongs to this sample, at which the last channel was still in charge: its filter is
+        # corrected before another channel takes over.
         next_state = self._with_measurement(state, measured, is_measured)._replace(
             mode=mode,
             commands=commands,
@@ -148,6 +158,9 @@ class HitchDynamics(eqx.Module):
                 for channel_state, valve in zip(state.channels, valves, strict=True)
             ),
         )
+        # A channel takes over where the piston is now: at the displacement that the corrected filter
+        # estimates, which is smoother than the measured one, and at the speed of the last channel, so that
+        # nothing jumps at a reversal. The first one starts from rest, as `init_state` left it.
         estimated = next_state.estimates.error[jnp.maximum(state.mode, 0)]
         displacement = jnp.where(
             is_measured,
@@ -160,29 +173,39 @@ class HitchDynamics(eqx.Module):
             next_state = self._enter_channel(
                 number, next_state, entering & (mode == number), displacement, speed
             )
+        # After the takeover: the variance of the last filter goes over into the new one.
         next_state = self._start_filter(next_state, state.mode)
         reset = (mode != state.mode) | (is_measured & (state.samples_since_measurement < 0))
-        next_state, scaled_features, trust = compute_features(self.channels, next_state, reset, self.step_s)
-        modelled = clip_at_end_stops(self.channels, next_state, next_state.benchmark)
+        return next_state, reset, demands
+
+    def _move(
+        self, state: HitchState, reset: Bool[Array, ""], demands: list[Bool[Array, ""]]
+    ) -> tuple[HitchState, NetworkInput]:
+        """Return the next state without the network's prediction, and its inputs; see `_advance_network`."""
+        # The features are of this sample, so they are read before the benchmark moves on.
+        state, scaled_features, trust = compute_features(self.channels, state, reset, self.step_s)
+        modelled = clip_at_end_stops(self.channels, state, state.benchmark)
         for number in range(len(self.channels)):
-            next_state = self._advance_channel(number, next_state)
-        next_state = self._clip_at_limits(self._apply_drift(next_state, ~jnp.any(jnp.stack(demands))))
-        benchmark = clip_at_end_stops(self.channels, next_state, next_state.benchmark)
-        next_state = next_state._replace(
+            state = self._advance_channel(number, state)
+        # Drift moves a held piston, and is held at the limits of the plant like any other motion: clip last.
+        state = self._clip_at_limits(self._apply_drift(state, ~jnp.any(jnp.stack(demands))))
+        # The filter's input is what the benchmark really moved, between the stops.
+        benchmark = clip_at_end_stops(self.channels, state, state.benchmark)
+        state = state._replace(
             estimates=self._load_filters.advance(
-                next_state.estimates, jnp.broadcast_to(benchmark - modelled, len(self.channels)), self.step_s
+                state.estimates, jnp.broadcast_to(benchmark - modelled, len(self.channels)), self.step_s
             )
         )
-        return next_state, NetworkInput(
-            channel_index=jnp.maximum(mode, 0),
+        return state, NetworkInput(
+            channel_index=jnp.maximum(state.mode, 0),
             scaled_features=scaled_features,
-            index_in_window=next_state.feature_state.index_in_window,
+            index_in_window=state.feature_state.index_in_window,
             trust=trust,
             reset=reset,
-            error=next_state.estimates.error[jnp.maximum(mode, 0)],
+            error=state.estimates.error[jnp.maximum(state.mode, 0)],
             benchmark=benchmark,
-            free_run=clip_at_end_stops(self.channels, next_state, next_state.free_run),
-            has_measurement=next_state.samples_since_measurement >= 0,
+            free_run=clip_at_end_stops(self.channels, state, state.free_run),
+            has_measurement=state.samples_since_measurement >= 0,
         )
 
     @property
@@ -193,10 +216,7 @@ class HitchDynamics(eqx.Module):
     def _with_measurement(
         self, state: HitchState, measured: Float[Array, ""], is_measured: Bool[Array, ""]
     ) -> HitchState:
-        """Return the state with the filters corrected by a measured displacement.
-
-        Without one they take the innovation that the compensator predicted.
-        """
+        """Return the state with corrected filters; unmeasured, they take the predicted innovation."""
         count = state.samples_since_measurement
         error = measured - clip_at_end_stops(self.channels, state, state.benchmark)
         corrected = self._load_filters.correct(
@@ -209,12 +229,10 @@ class HitchDynamics(eqx.Module):
         )
 
     def _start_filter(self, state: HitchState, last_mode: Int[Array, ""]) -> HitchState:
-        """Start the filter of a channel that takes charge: its load is unknown.
-
-        A channel that takes over from another starts at the estimated displacement, which leaves no offset,
-        with the variance of that estimate.
-        """
+        """Start the filter of a channel that takes charge: its load is unknown."""
         known, from_rest = state.estimates, last_mode == STANDING
+        # A channel that takes over starts at the estimated displacement, which leaves no offset, with the
+        # variance of that estimate; the first one keeps what was measured at rest.
         offset = jnp.where(from_rest, known.mean[OFFSET], 0.0)
         variance = jnp.where(from_rest, known.variance, known.variance[last_mode])
         fresh = self._load_filters.init_estimate(offset, self.step_s)
@@ -227,11 +245,7 @@ class HitchDynamics(eqx.Module):
     def _advance_network(
         self, hidden: Float32[Array, "2 2 h"], network_input: NetworkInput
     ) -> tuple[Float32[Array, "2 2 h"], NetworkOutput]:
-        """Predict the innovation by the network of the active channel.
-
-        Returns:
-            State of the network, and displacement, error and innovation at the next sample.
-        """
+        """Return the network's next state, and what it completes at the next sample."""
         predictors = [partial(predict_innovation, channel.compensator) for channel in self.channels]
         hidden, predicted = jax.lax.switch(network_input.channel_index, predictors, hidden, network_input)
         innovation = network_input.trust * predicted
@@ -281,10 +295,7 @@ class HitchDynamics(eqx.Module):
         speed: Float[Array, ""],
         at_load: DiscretePhysicalModel | None,
     ) -> ChannelState:
-        """Return the state of a channel that takes charge at a displacement and a speed.
-
-        `at_load` is its model at the load, None where that does not matter.
-        """
+        """Return the state of a channel that takes charge; `at_load` is None where no load matters."""
         channel = self.channels[number]
         correction = None
         if channel.speed_compensator is not None:

@@ -176,6 +176,7 @@ def load(folder: str | Path) -> Hitch:
     path = checks.path(folder, "folder")
     described = _read_description(path / MODEL_FILE, ModelDescription, "a model folder")
     weights = _read_checked(path / WEIGHTS_FILE, described)
+    # Only checked: a report may show it later, and what was edited must not be believed then either.
     _read_checked(path / TRACE_FILE, described)
     with _refused(path / WEIGHTS_FILE):
         tensors = load_tensors(weights)
@@ -251,6 +252,7 @@ def _read_description(path: Path, kind: type[AnySealed], required: str) -> AnySe
             f"{path}: schema {shown}, expected {SCHEMA}: it is from another version of hitchid; "
             "identify again"
         )
+    # The schema before the digest: of a folder of another version the message is to say so.
     claimed = content.pop("digest", "")
     if claimed != digest(canonical_json(content)):
         raise ModelFolderError(f"{path}: was edited: its digest does not match; identify again")
@@ -268,6 +270,7 @@ def _canonical(path: Path, data: bytes) -> object:
         canonical = canonical_json(content)
     except (ValueError, RecursionError) as error:
         raise ModelFolderError(f"{path}: is truncated or was edited: {type(error).__name__}") from error
+    # A key twice or a number written otherwise would be read by someone else as something else.
     if canonical != data:
         raise ModelFolderError(f"{path}: was edited: it is not as hitchid writes it; identify again")
     return content

@@ -163,6 +163,7 @@ def simulate_ensemble(
     for number, dynamics in enumerate(members):
         groups.setdefault(jax.tree.structure(dynamics), []).append(number)
     displacements = np.empty((len(members), *initial.shape[:-1], len(commands)))
+    # Members of one structure are stacked: they are compiled once, not each.
     for indices in groups.values():
         stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *(members[number] for number in indices))
         displacements[indices] = _simulate_stacked(stacked, initial, commands)
@@ -209,6 +210,7 @@ def predict_from_origins(
         return jax.lax.scan(advance, state, jnp.arange(1, horizon + 1))[1]
 
     origins = np.arange(0, count, stride)
+    # The last group is filled with the first origins again, which are dropped at the end.
     groups = jnp.asarray(np.resize(origins, (-(-origins.size // ORIGINS_PER_BATCH), ORIGINS_PER_BATCH)))
 
     def coast_group(group: Array) -> Float[Array, "g h"]:
@@ -228,13 +230,7 @@ def align_predictions(
 
 
 def last_measured(measured: np.ndarray, initial: float, horizon: int) -> Float[np.ndarray, " n"]:
-    """Return the displacement from which `align_predictions` predicts each sample.
-
-    Args:
-        measured: displacement at every sample, shape [N].
-        initial: displacement from which the first `horizon` samples are predicted.
-        horizon: prediction horizon, in samples.
-    """
+    """Return the displacement, shape [N], from which `align_predictions` predicts each sample."""
     first = np.full(min(horizon, measured.size), initial)
     return np.concatenate([first, measured[: measured.size - first.size]])
 
@@ -261,13 +257,7 @@ def perturbed_channel(channel: Channel, member: EnsembleMember) -> Channel:
 def ensemble_deviations(
     channel: Channel, members: Sequence[EnsembleMember], batch: Batch
 ) -> tuple[Float[np.ndarray, "t n"], Float[np.ndarray, "a t n"]]:
-    """Return a channel's free run, and the weighted deviations of its ensemble from it.
-
-    Args:
-        channel: channel of the model.
-        members: members of its ensemble.
-        batch: tests.
-    """
+    """Return a channel's free run, and the weighted deviations of its ensemble from it."""
     simulated = np.asarray(channel.simulate(batch))
     member_runs = [np.asarray(perturbed_channel(channel, member).simulate(batch)) for member in members]
     weights = np.array([member.weight for member in members])
@@ -281,18 +271,7 @@ def hitch_half_width(
     run: FreeRun,
     coverage: float,
 ) -> Float[np.ndarray, "*m n"]:
-    """Return the half width of the band around free runs of a hitch, in the model's unit.
-
-    Args:
-        dynamics: dynamics of the hitch in free run.
-        bands: bands of each channel.
-        inputs: inputs of the free runs.
-        run: the free runs.
-        coverage: share of samples within the band.
-
-    Returns:
-        Half width at every sample, shape [N] or [M, N].
-    """
+    """Return the half width of the band around free runs at every sample, in the model's unit."""
     members = ensemble_members(dynamics, bands)
     deviations = ensemble_free_runs([member.dynamics for member in members], inputs) - run.displacement
     return ensemble_half_width(members, bands, deviations, coverage)
@@ -330,14 +309,7 @@ def ensemble_half_width(
     deviations: Float[np.ndarray, "a *b n"],
     coverage: float,
 ) -> Float[np.ndarray, "*b n"]:
-    """Return the half width of the band around a free run from the deviations of the ensemble's.
-
-    Args:
-        members: of the ensembles of all channels.
-        bands: of each channel.
-        deviations: free run of each member less that of the model, in the displacement's unit.
-        coverage: share of samples within the band.
-    """
+    """Return the half width of the band around a free run from the deviations of the ensemble's from it."""
     weights = np.array([member.weight for member in members]).reshape(-1, *[1] * (deviations.ndim - 1))
     owners = np.array([member.channel for member in members])
     squares = (weights * deviations) ** 2

@@ -38,7 +38,7 @@ from hitchid.model.inputs import (
     required_record,
 )
 from hitchid.model.limits import TravelLimits
-from hitchid.model.parameters import ParameterTable, parameter_table, with_parameters
+from hitchid.model.parameters import ParameterTable, hitch_summary, parameter_table, with_parameters
 from hitchid.model.provenance import Provenance, TwoModes
 from hitchid.model.rivals import Rivals
 from hitchid.model.simulation import SimulatedModel, Simulation, simulate
@@ -444,6 +444,4 @@ class Hitch(Value, Summarised, Handover):
         return functions
 
     def _summary(self) -> Summary:
-        from hitchid.model.summary import hitch_summary
-
         return hitch_summary(self)

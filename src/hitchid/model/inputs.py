@@ -46,13 +46,7 @@ Commands = Mapping[str, Numbers] | Frame | Numbers
 def record_or_commands(
     value: Record | Commands | str | Path, directions: Sequence[str], step_s: float | None
 ) -> Record | Commands:
-    """Return the record of a log's path, or of a table that has its own clock; anything else as it is.
-
-    Args:
-        value: see `Hitch.simulate`.
-        directions: directions of the model's channels.
-        step_s: sampling time of commands; None for a record.
-    """
+    """Return the record of a log's path, or of a table that has its own clock; anything else as it is."""
     if isinstance(value, str | Path):
         return required_record(value)
     if isinstance(value, Frame):
@@ -89,13 +83,7 @@ def required_record(value: object) -> Record:
 def record_of_commands(
     commands: Commands, directions: Sequence[str], units: Mapping[str, str], step_s: float | None
 ) -> Record:
-    """Return commands as a record, whose displacement is zero and says nothing.
-
-    Args:
-        commands: see `Hitch.simulate`.
-        directions: directions of the model's channels.
-        units: role to unit of the model.
-        step_s: sampling time of the commands, s.
+    """Return commands, see `Hitch.simulate`, as a record, whose displacement is zero and says nothing.
 
     Raises:
         InputError: the sampling time is missing, or the commands are no numbers, or of another shape.
@@ -164,12 +152,7 @@ def mean_load(channels: Iterable["Channel"]) -> Float[np.ndarray, " l"]:
 
 
 def loads_by_name(load: Load | None, names: Sequence[str], owner: str) -> dict[str, Float[np.ndarray, "*m"]]:
-    """Return the covariates that are given as a load, by name.
-
-    Args:
-        load: with one covariate a number or several, else covariate to number or numbers.
-        names: of the covariates.
-        owner: what has the covariates, for the message: `model` or `lifting channel`.
+    """Return the covariates that are given as a load, by name; `owner` is what has them, for the message.
 
     Raises:
         InputError: there is no such covariate, or a value is not a number.
@@ -193,10 +176,6 @@ def loads_by_name(load: Load | None, names: Sequence[str], owner: str) -> dict[s
 
 def load_row(load: Load | None, channels: Sequence["Channel"], owner: str) -> Float[np.ndarray, "*m l"]:
     """Return a load in the order of `covariates_of`; what is not given is the mean of the tests.
-
-    Args:
-        load, owner: as for `loads_by_name`.
-        channels: of the model.
 
     Raises:
         InputError: as `loads_by_name`, or given values differ in number.

@@ -40,28 +40,21 @@ def draw_parameters(
     Positive parameters are drawn by their logarithm, as they are estimated. A parameter beyond the bounds of
     the search, or far beyond its likelihood profile, is set to that limit, and the others to their mean given
     that; one without a standard error keeps its value.
-
-    Args:
-        benchmark: the physical model.
-        estimates: standard errors and correlation of its parameters.
-        count: number of draws.
-        seed: of the draws.
-
-    Returns:
-        Vectors as `PhysicalModel.parameter_vector` has them, shape [count, R].
     """
     names = [parameter.name for parameter in benchmark.parameters]
     vectors = np.tile(np.asarray(benchmark.parameter_vector, dtype=np.float64), (count, 1))
     parameters = estimates.parameters
     columns = [names.index(estimate.name) for estimate in parameters]
     values = vectors[0, columns]
-    deviations = np.array(list(map(_deviation, parameters, values)))
+    linear = np.array([estimate.linear for estimate in parameters])
+    # Of the logarithm of a positive parameter the standard error is the relative one.
+    errors = np.array([estimate.error or 0.0 for estimate in parameters])
+    deviations = errors / np.where(linear | (errors == 0), 1.0, values)
     covariance = np.outer(deviations, deviations) * np.array(estimates.correlation)
     random = np.random.default_rng(seed)
     # Singular where a parameter keeps its value, which the eigenvalue decomposition allows.
     steps = random.multivariate_normal(np.zeros(deviations.size), covariance, count, method="eigh")
     bounds = np.array([_bounds(estimate, value) for estimate, value in zip(parameters, values, strict=True)])
-    linear = np.array([estimate.linear for estimate in parameters])
     for row, step in zip(vectors, steps, strict=True):
         within = _within(step, covariance, *bounds.T)
         row[columns] = np.where(linear, values + within, values * np.exp(np.where(linear, 0.0, within)))
@@ -109,10 +102,3 @@ def _bounds(estimate: Estimate, value: float) -> tuple[float, float]:
         if high is not None:
             upper = min(upper, PROFILE_REACH * max(step(high), 0.0))
     return lower, upper
-
-
-def _deviation(estimate: Estimate, value: float) -> float:
-    """Return the standard error of a parameter, or of its logarithm; zero where there is none."""
-    if estimate.error is None:
-        return 0.0
-    return estimate.error if estimate.linear else estimate.error / value

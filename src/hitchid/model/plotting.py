@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from hitchid.model.hitch import Hitch
     from hitchid.model.simulation import Simulation
-    from hitchid.plots import SpeedCurve
 
 MAP_IN, STEP_IN, BODE_IN = 3.2, 4.4, 4.4  # heights of new figures, inch; chosen
 MAX_RUNS = 8  # of a simulation from several initial displacements or loads; chosen
@@ -84,12 +83,22 @@ def plot_simulation(
 
 
 def draw_characteristics(axes: "Axes", characteristics: Characteristics) -> None:
-    """Draw the speed map of one direction, with dead zone and measured speeds."""
-    from hitchid.plots import draw_dead_zone, draw_speed_map
+    """Draw the speed map of one direction, a curve for each load, with dead zone and measured speeds."""
+    from hitchid.plots import SpeedCurve, draw_dead_zone, draw_speed_map
 
+    curves = []
+    loads = sorted({point.load for point in characteristics.speed_map if point.load is not None})
+    for load in loads or [None]:
+        points = [point for point in characteristics.speed_map if point.load == load]
+        # An open end of a band is zero or infinite.
+        lower = [0.0 if point.interval[0] is None else point.interval[0] for point in points]
+        upper = [np.inf if point.interval[1] is None else point.interval[1] for point in points]
+        commands, speeds = [point.command for point in points], [point.speed for point in points]
+        label = "benchmark" if load is None else f"{load:.4g}"
+        curves.append(SpeedCurve(label, *map(np.array, (commands, speeds, lower, upper))))
     draw_speed_map(
         axes,
-        _speed_curves(characteristics),
+        curves,
         [(point.command, point.speed) for point in characteristics.measured],
         command_unit=characteristics.command_unit,
         speed_unit=characteristics.speed_unit,
@@ -214,22 +223,6 @@ def _directions(model: "Hitch", direction: str | None) -> tuple[str, ...]:
 def _characteristics(model: "Hitch", direction: str) -> Characteristics | None:
     known = model.uncertainty.get(direction)
     return None if known is None else known.characteristics
-
-
-def _speed_curves(characteristics: Characteristics) -> list["SpeedCurve"]:
-    """Return the curve of each load, or the only one; an open end of a band is zero or infinite."""
-    from hitchid.plots import SpeedCurve
-
-    loads = sorted({point.load for point in characteristics.speed_map if point.load is not None}) or [None]
-    curves = []
-    for load in loads:
-        points = [point for point in characteristics.speed_map if point.load == load]
-        lower = [0.0 if point.interval[0] is None else point.interval[0] for point in points]
-        upper = [np.inf if point.interval[1] is None else point.interval[1] for point in points]
-        commands, speeds = [point.command for point in points], [point.speed for point in points]
-        label = "benchmark" if load is None else f"{load:.4g}"
-        curves.append(SpeedCurve(label, *map(np.array, (commands, speeds, lower, upper))))
-    return curves
 
 
 @double_precision

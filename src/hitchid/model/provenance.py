@@ -5,9 +5,7 @@ from dataclasses import dataclass, field
 
 from hitchid._support.records import short_repr
 
-CLEAR_RATIO = (
-    1.25  # of the errors of one shared and of two models, from which on two are clearly better; chosen
-)
+CLEAR_RATIO = 1.25  # of the errors of one shared model and of two, from which on two are better; chosen
 
 
 @short_repr
@@ -82,8 +80,7 @@ class TwoModes:
         shared_rmse, two_rmse: free-run RMSE of one and of two models in cross-validation, all tests with
             equal weight, in the displacement's unit.
         tests: number of tests.
-        difference: test of the difference; None in models of schema 7 and before, which were judged by the
-            ratio of the mean square errors.
+        difference: test of the difference; None where the tests are too few for it.
     """
 
     needed: bool

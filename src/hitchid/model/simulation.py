@@ -62,6 +62,7 @@ def to_model_units(
             f"the model has channels for {' and '.join(directions)}"
         )
     converted = record.convert({role: unit for role, unit in units.items() if role in record.signals})
+    # Clocks that hardly part are taken for one: interpolation would smooth what was measured.
     shift_s = abs(converted.step_s - step_s) * len(converted)
     resampled = converted if shift_s <= MAX_CLOCK_SHIFT * step_s else converted.resample(step_s)
     scales = full_scales([record])
@@ -100,13 +101,10 @@ def condition_before_motion(
     displacement: np.ndarray | None = None,
     load: Mapping[str, np.ndarray] | None = None,
 ) -> InitialCondition:
-    """Return displacement and covariates before motion.
+    """Return displacement and covariates before motion, of a record on the model's clock and in its units.
 
-    Args:
-        record: on the model's clock and in its units.
-        channels: direction to channel.
-        displacement: given values, shape [] or [M]; None for the mean before any command is effective.
-        load: covariates that are given, by name, likewise; the others are those of the record.
+    A displacement that is not given is the mean before any command is effective; covariates that are not
+    given are those of the record.
 
     Raises:
         InputError: the record lacks a covariate, or given values differ in number.
@@ -153,20 +151,22 @@ class OutOfRange(NamedTuple):
 def out_of_range(
     channels: Sequence[Channel], units: Mapping[str, str], inputs: FreeRunInputs, run: FreeRun
 ) -> tuple[OutOfRange, ...]:
-    """Return each signal outside its range while its channel is in charge, and limits that clip the run.
-
-    Args:
-        channels, units: channels and units of the model.
-        inputs: inputs of the free runs.
-        run: the free runs.
-    """
+    """Return each signal outside its range while its channel is in charge, and limits that clip the run."""
     displacement, active_channel, _ = run
     runs = f" of {len(displacement)} runs" if displacement.ndim > 1 else ""
     of_all = f"of {displacement.size} samples{runs}"
     found = []
     for number, channel in enumerate(channels):
-        for name, mask in _masks(channels, number, inputs, displacement).items():
-            samples = mask & (active_channel == number)
+        covered, command = channel.operating_range, inputs.commands[:, DIRECTIONS.index(channel.direction)]
+        effective = np.abs(effective_command(command, channel.dead_zone))
+        load = channel_load(channels, number, jnp.asarray(inputs.initial.load))
+        trusts = {
+            "command": covered.command.trust(jnp.asarray(effective)),
+            "displacement": covered.displacement.trust(jnp.asarray(displacement)),
+            "load": covered.load_trust(load)[..., None],
+        }
+        for name, trust in trusts.items():
+            samples = (np.asarray(trust) < 1) & (active_channel == number)
             described = describe_range(channel, units, name)
             found.append(
                 OutOfRange(
@@ -181,24 +181,6 @@ def out_of_range(
         sentence = f"{limits.sentence(units[DISPLACEMENT])}; this limit applies in {samples.sum()} {of_all}"
         found.append(OutOfRange(sentence, samples))
     return tuple(signal for signal in found if signal.samples.any())
-
-
-def _masks(
-    channels: Sequence[Channel], number: int, inputs: FreeRunInputs, displacement: np.ndarray
-) -> dict[str, Bool[np.ndarray, "*#m n"]]:
-    """Return `command`, `displacement` and `load` to the samples outside the range of a channel."""
-    channel = channels[number]
-    command = inputs.commands[:, DIRECTIONS.index(channel.direction)]
-    signals = {
-        "command": np.abs(effective_command(command, channel.dead_zone)),
-        "displacement": displacement,
-    }
-    outside = {
-        name: np.asarray(getattr(channel.operating_range, name).trust(jnp.asarray(values))) < 1
-        for name, values in signals.items()
-    }
-    load = channel_load(channels, number, jnp.asarray(inputs.initial.load))
-    return {**outside, "load": np.asarray(channel.operating_range.load_trust(load))[..., None] < 1}
 
 
 def describe_range(channel: Channel, units: Mapping[str, str], name: str) -> str:
@@ -385,6 +367,7 @@ def simulate(
                     f"load: expected '{name}' before motion, in {model.units[name]}, which the model "
                     f"requires; got {load}"
                 )
+        # What is missing is named before the commands are looked at: of both the user is told the simpler.
         record = record_of_commands(commands, tuple(channels), model.units, step_s)
     elif step_s is not None:
         raise InputError(f"step_s: a record has its own sampling time; expected None, got {step_s}")
@@ -397,7 +380,15 @@ def simulate(
                     f"signal in the record, or `load`, its value before motion, in {model.units[name]}"
                 )
     model_record = to_model_units(record, tuple(channels), model.units, model.dynamics.step_s)
-    _check_magnitude(model_record)
+    # The dynamics would take so large a command as missing, and keep the last one.
+    for direction in model_record.directions:
+        command = np.abs(model_record.command(direction))
+        if not np.all(command < MAX_MAGNITUDE):
+            sample = int(np.argmax(command))
+            raise InputError(
+                f"commands: expected values within ±{MAX_MAGNITUDE:g}, got {command[sample]:g} at sample "
+                f"{sample} ({direction})"
+            )
     initial_condition = condition_before_motion(
         model_record,
         channels,
@@ -408,18 +399,6 @@ def simulate(
     run = free_run(model.dynamics, inputs)
     displacement = to_record_units(run.displacement, model.units, model_record, record)
     return Simulation(record.time_s, displacement, record.unit, run, inputs, model_record.time_s, model)
-
-
-def _check_magnitude(record: Record) -> None:
-    """Raise InputError for a command so large that the dynamics take it as missing."""
-    for direction in record.directions:
-        command = np.abs(record.command(direction))
-        if not np.all(command < MAX_MAGNITUDE):
-            sample = int(np.argmax(command))
-            raise InputError(
-                f"commands: expected values within ±{MAX_MAGNITUDE:g}, got {command[sample]:g} at sample "
-                f"{sample} ({direction})"
-            )
 
 
 def _checked(values: Numbers, name: str) -> np.ndarray:

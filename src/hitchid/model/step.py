@@ -181,7 +181,9 @@ class LoadBank(eqx.Module):
         tells_load = (jnp.abs(measured) < MAX_MAGNITUDE) & (jnp.min(error**2 / variance) <= JUMP**2)
         likelihood = -0.5 * (jnp.log(variance) + error**2 / variance)
         log_weights = state.log_weights + jnp.where(tells_load, likelihood, 0.0)
+        # The weights first: the step corrects all filters by this measurement, which then surprises none.
         hitches, _ = jax.vmap(self.dynamics.step, in_axes=(0, None, None))(state.hitches, commands, measured)
+        # Only differences count; without this the logarithms would fall without end, and lose digits.
         next_state = LoadBankState(hitches, log_weights - jnp.max(log_weights))
         return next_state, next_state.displacement
 

@@ -148,6 +148,7 @@ class Compensator(eqx.Module):
         self, hidden: LstmState, index_in_window: Int[Array, ""], scaled_features: Float32[Array, "*b 10"]
     ) -> tuple[LstmState, Float[Array, "*b"]]:
         """Return the next state of the LSTM and the increment of the error to the next sample."""
+        # The windows rotate before the input is read, as in training.
         hidden = jax.tree.map(
             lambda pair: jnp.where(index_in_window == 0, _rotate_windows(pair), pair), hidden
         )
@@ -194,15 +195,7 @@ def _rotate_windows(pair: Float[Array, "*b 2 h"]) -> Float[Array, "*b 2 h"]:
 
 
 def measured_features(samples: Sample, step_s: float) -> tuple[FeatureHistory, Float[Array, "n *t 10"]]:
-    """Return history and features at every sample of measured tests.
-
-    Args:
-        samples: arrays of shape [N] or [N, T].
-        step_s: sampling time, s.
-
-    Returns:
-        The history after each sample, arrays of that shape, and the features, shape [N, …, 10].
-    """
+    """Return history and features at every sample of measured tests, of shape [N] or [N, T]."""
 
     def advance(
         history: FeatureHistory, sample: Sample
@@ -219,13 +212,7 @@ def measured_features(samples: Sample, step_s: float) -> tuple[FeatureHistory, F
 def free_run(
     compensator: Compensator, time_s: Array, command: Array, benchmark: Array, step_s: float
 ) -> Float[Array, "n t"]:
-    """Return the errors ê of the compensator in closed loop on its own output: y = y_tf + ê, ê(0) = 0.
-
-    Args:
-        compensator: a trained compensator.
-        time_s, command, benchmark: time since start, effective command, benchmark output, shape [N, T].
-        step_s: sampling time, s.
-    """
+    """Return the errors ê of the compensator in closed loop on its own output: y = y_tf + ê, ê(0) = 0."""
     samples = Sample(time_s, command, benchmark, benchmark)
     first = jax.tree.map(lambda array: array[0], samples)
 

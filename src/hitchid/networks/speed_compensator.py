@@ -81,11 +81,7 @@ class SpeedCompensator(eqx.Module):
     ) -> Float[Array, "*b"]:
         """Return the factor on the benchmark's speed until the next sample.
 
-        Args:
-            command: effective command.
-            speed, acceleration: of the benchmark's travel up to now, in the displacement's unit, 1/s, 1/s².
-            displacement: compensated displacement.
-            load: covariates.
+        Speed and acceleration are those of the benchmark's travel; the displacement is compensated.
         """
         scaled = self.inputs(command, speed, acceleration, displacement, load)
         trust = self.operating_range.trust(jnp.abs(command), displacement, load)
@@ -101,15 +97,7 @@ def simulate_compensated(
     load: Float[Array, "t c"],
     step_s: Float[Array, ""] | float,
 ) -> Float[Array, "t n"]:
-    """Return the travel of the compensated free run, shape [T, N].
-
-    Args:
-        compensator: a trained compensator.
-        benchmark: travel of the benchmark, shape [T, N].
-        command: effective command, shape [T, N].
-        initial, load: displacement and covariates before motion, shapes [T] and [T, C].
-        step_s: sampling time, s.
-    """
+    """Return the travel of the compensated free run from that of the benchmark, shape [T, N]."""
     networks, operating_range = compensator.networks, compensator.operating_range
     increment = jnp.diff(benchmark, axis=1, append=benchmark[:, -1:])
     speed = _delayed(increment) / step_s

@@ -3,22 +3,22 @@
 Plots of records, campaigns, models and validations, and figures of reports, are made of these functions.
 """
 
-from hitchid.plots.models import LEVEL_COLOURS as LEVEL_COLOURS
-from hitchid.plots.models import BandedCurve as BandedCurve
-from hitchid.plots.models import SpeedCurve as SpeedCurve
-from hitchid.plots.models import draw_bode as draw_bode
-from hitchid.plots.models import draw_curves as draw_curves
-from hitchid.plots.models import draw_dead_zone as draw_dead_zone
-from hitchid.plots.models import draw_speed_map as draw_speed_map
-from hitchid.plots.signals import DIRECTION_COLOURS as DIRECTION_COLOURS
-from hitchid.plots.signals import ErrorBin as ErrorBin
-from hitchid.plots.signals import draw_band as draw_band
-from hitchid.plots.signals import draw_commands as draw_commands
-from hitchid.plots.signals import draw_correlation as draw_correlation
-from hitchid.plots.signals import draw_displacement as draw_displacement
-from hitchid.plots.signals import draw_error_bins as draw_error_bins
-from hitchid.plots.signals import draw_errors as draw_errors
-from hitchid.plots.signals import draw_measured as draw_measured
-from hitchid.plots.signals import draw_predicted as draw_predicted
-from hitchid.plots.signals import draw_segments as draw_segments
+from hitchid.plots.drawing import DIRECTION_COLOURS as DIRECTION_COLOURS
+from hitchid.plots.drawing import LEVEL_COLOURS as LEVEL_COLOURS
+from hitchid.plots.drawing import BandedCurve as BandedCurve
+from hitchid.plots.drawing import ErrorBin as ErrorBin
+from hitchid.plots.drawing import SpeedCurve as SpeedCurve
+from hitchid.plots.drawing import draw_band as draw_band
+from hitchid.plots.drawing import draw_bode as draw_bode
+from hitchid.plots.drawing import draw_commands as draw_commands
+from hitchid.plots.drawing import draw_correlation as draw_correlation
+from hitchid.plots.drawing import draw_curves as draw_curves
+from hitchid.plots.drawing import draw_dead_zone as draw_dead_zone
+from hitchid.plots.drawing import draw_displacement as draw_displacement
+from hitchid.plots.drawing import draw_error_bins as draw_error_bins
+from hitchid.plots.drawing import draw_errors as draw_errors
+from hitchid.plots.drawing import draw_measured as draw_measured
+from hitchid.plots.drawing import draw_predicted as draw_predicted
+from hitchid.plots.drawing import draw_segments as draw_segments
+from hitchid.plots.drawing import draw_speed_map as draw_speed_map
 from hitchid.plots.style import canvas as canvas

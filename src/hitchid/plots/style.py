@@ -218,6 +218,7 @@ def logarithmic(axis: Axis) -> None:
     set_scale("log")
     low, high = axis.get_view_interval()
     if high < DECADE * low:
+        # Within a decade 1, 2 and 5 are too few numbers to read a value by.
         axis.set_major_locator(MaxNLocator(4))
     else:
         axis.set_major_locator(LogLocator(subs=(1.0,) if high > DECADES * low else (1.0, 2.0, 5.0)))

@@ -22,12 +22,7 @@ def p_value(probability: float) -> str:
 
 
 def rounded(value: float | None, error: float | None, max_decimals: int = 12) -> str:
-    """Return a number to the second digit of its standard error, or to four digits without one.
-
-    Args:
-        value, error: the number, and its standard error or None.
-        max_decimals: largest number of decimal places.
-    """
+    """Return a number to the second digit of its standard error, or to four digits without one."""
     if value is None or error is None or not error > 0:
         return digits(value)
     return f"{value:.{min(max(0, 1 - floor(log10(error))), max_decimals)}f}"

@@ -1,6 +1,5 @@
 """Origin of a result: the information required to reproduce it."""
 
-import ast
 import json
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -115,12 +114,7 @@ def _trace_pictures(context: DirectionContext, trace: ChannelTraceFile) -> Itera
 
 
 def origin_section(source: Origin, command: str) -> ReportSection:
-    """Return the section on reproducing the result.
-
-    Args:
-        source: origin of the model.
-        command: the command line that wrote the report.
-    """
+    """Return the section on reproducing the result: origin of the model, command of the report."""
     provenance, current_versions = source.provenance, source.versions
     model_versions = provenance.versions
     rows = [
@@ -151,9 +145,7 @@ def origin_section(source: Origin, command: str) -> ReportSection:
 
 def _by_section(settings: Mapping[str, object]) -> Mapping[str, object]:
     """Return settings in the sections of the settings file: those of each direction under its name."""
-    sections = {
-        name: _arguments(value) for name, value in settings.items() if name not in ("structure", "dead_zones")
-    }
+    sections = {name: value for name, value in settings.items() if name not in ("structure", "dead_zones")}
     forms, dead_zones = settings.get("structure"), settings.get("dead_zones")
     for direction, form in forms.items() if isinstance(forms, Mapping) else ():
         known_dead_zones = dead_zones if isinstance(dead_zones, Mapping) else {}
@@ -161,22 +153,6 @@ def _by_section(settings: Mapping[str, object]) -> Mapping[str, object]:
         values = {name: value for name, value in form.items() if name != "automatic"}
         sections[direction] = automatic | values | {"dead_zone": known_dead_zones.get(direction)}
     return sections
-
-
-def _arguments(value: object) -> object:
-    """Return a setting; of a call as text, as in models saved by earlier versions, its keyword arguments."""
-    if not isinstance(value, str):
-        return value
-    try:
-        return _keywords(ast.parse(value, mode="eval").body)
-    except (SyntaxError, ValueError):
-        return value
-
-
-def _keywords(node: ast.expr) -> object:
-    if isinstance(node, ast.Call) and not node.args:
-        return {str(keyword.arg): _keywords(keyword.value) for keyword in node.keywords}
-    return ast.literal_eval(node)
 
 
 def _toml_rows(settings: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, str]]:
@@ -191,8 +167,6 @@ def _toml_rows(settings: Mapping[str, object], prefix: str = "") -> Iterator[tup
 def _versions(model_version: str | None, current_version: str | None) -> str:
     if model_version == current_version or current_version is None:
         return model_version or ""
-    return (
-        current_version
-        if model_version is None
-        else f"{model_version} at identification, {current_version} now"
-    )
+    if model_version is None:
+        return current_version
+    return f"{model_version} at identification, {current_version} now"

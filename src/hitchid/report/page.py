@@ -107,14 +107,22 @@ def _content(signals: Signals) -> dict[str, object]:
 
 
 def _test(tests: Predictions, index: int, signals: Signals) -> dict[str, object]:
-    band = tests.band
+    band, is_compared = tests.band, "free_run" not in tests.models
+    colours = {shade.light: name.replace("_", "-") for name, shade in SHADES.items()}
     return {
         "name": tests.names[index],
         "time": _floats(tests.time_s[index]),
         "measured": _floats(tests.actual[index]),
         "band": None if band is None else [_floats(rows[index]) for rows in band],
         "models": [
-            _series(model, rows[index], shown="free_run" not in tests.models or model in SHOWN_FIRST)
+            {
+                "key": model,
+                "label": label(model),
+                "values": _floats(rows[index]),
+                "colour": f"--{colours[COLOURS.get(model, COLOURS['ink'])]}",
+                "dash": [2 * length for length in DASHES.get(model, ()) if length],
+                "shown": is_compared or model in SHOWN_FIRST,
+            }
             for model, rows in tests.models.items()
         ],
         "commands": [
@@ -128,20 +136,9 @@ def _test(tests: Predictions, index: int, signals: Signals) -> dict[str, object]
     }
 
 
-def _series(model: str, values: np.ndarray, *, shown: bool) -> dict[str, object]:
-    colours = {shade.light: name.replace("_", "-") for name, shade in SHADES.items()}
-    return {
-        "key": model,
-        "label": label(model),
-        "values": _floats(values),
-        "colour": f"--{colours[COLOURS.get(model, COLOURS['ink'])]}",
-        "dash": [2 * length for length in DASHES.get(model, ()) if length],
-        "shown": shown,
-    }
-
-
 def _floats(values: np.ndarray) -> str:
     """Return values in single precision, little endian, in base64: a relative error below 6e-8."""
+    # A run that diverged beyond single precision is infinite there, which is no error.
     with np.errstate(over="ignore"):
         return b64encode(np.asarray(values, dtype="<f4").tobytes()).decode()
 

@@ -23,12 +23,7 @@ AROUND = (
 
 
 def transfer_function(benchmark: PhysicalModel, unit: str, command_unit: str) -> tuple[Text | Equation, ...]:
-    """Return G(s) of a benchmark with its symbols and with its values; for a nonlinear one its formula.
-
-    Args:
-        benchmark: of one direction.
-        unit, command_unit: of displacement and command.
-    """
+    """Return G(s) of a benchmark with its symbols and with its values; for a nonlinear one its formula."""
     structure = benchmark.structure
     if structure.linear is None:
         return (Text(f"Benchmark: structure {structure.name}, {structure.formula}."),)
@@ -98,12 +93,7 @@ VERBS = {"lifting": "lifts", "lowering": "lowers"}
 
 
 def characteristic_sentences(characteristics: Characteristics, direction: str) -> tuple[str, ...]:
-    """Return dead zone, speeds and times of one direction, one sentence each, at the middle load.
-
-    Args:
-        characteristics: operating characteristics of the direction.
-        direction: lifting or lowering.
-    """
+    """Return dead zone, speeds and times of one direction, one sentence each, at the middle load."""
     unit, opening = characteristics.command_unit, characteristics.opening
     sentences = [
         f"flow begins at {_quantity_text(opening, unit)}"

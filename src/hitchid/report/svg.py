@@ -37,10 +37,7 @@ def _rounded(number: re.Match) -> str:
 def inline_svg(text: str, name: str, alt: str) -> str:
     """Return an SVG file as an element of a page, with an alt text, in the page's colours.
 
-    Args:
-        text: an SVG file.
-        name: prefix of its identifiers, so that they are unique in the page.
-        alt: text for screen readers.
+    Its identifiers begin with `name`, so that they are unique in the page.
     """
     element = text[text.index("<svg") :]
     referenced_ids = {identifier for tag in _TAG.findall(element) for identifier in _REFERENCE.findall(tag)}
@@ -52,6 +49,7 @@ def inline_svg(text: str, name: str, alt: str) -> str:
         adapted = _REFERENCE.sub(lambda match: match[0].replace("#", f"#{name}-"), adapted)
         return _COLOUR.sub(lambda match: _CSS_VARIABLES.get(match[0].lower(), match[0]), adapted)
 
+    # Tag by tag: a name of a log that looks like a colour or a reference is text, and stays as it is.
     element = _TAG.sub(adapt, element)
     head, rest = element.split(">", 1)
     head = re.sub(r' (?:width|height|version|xmlns(?::xlink)?)="[^"]*"', "", head)

@@ -135,6 +135,7 @@ def search_table(direction: str, searches: Sequence[SearchSummary], unit: str) -
     }
     best = min(float(errors.min()) for errors in ends.values())
     medians = {name: float(np.median(errors)) for name, errors in ends.items()}
+    # Of equal medians the search with the better worst seed is first.
     ordered = sorted(searches, key=lambda search: (medians[search.name], float(ends[search.name].max())))
     rows = tuple(
         (

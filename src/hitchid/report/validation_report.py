@@ -259,12 +259,7 @@ def direction_sections(
     trace: Mapping[str, ChannelTraceFile],
     builders: Sequence[SectionBuilder],
 ) -> list[ReportSection]:
-    """Return one section per validated direction, and one for mixed cycles.
-
-    Args:
-        result, data, trace: as for `validation_report`.
-        builders: functions that build the subsections of a direction.
-    """
+    """Return one section per direction, its subsections by the builders, and one for mixed cycles."""
     step_s, unit = data.origin.step_s, result.unit
     result_sections = []
     for direction, channel in result.channels.items():

@@ -250,6 +250,7 @@ def _band_finding(direction: str, bands: BandFigures, count: int, unit: str) -> 
 
 def _reserved(text: str, reservations: Sequence[Reservation], separator: str) -> Finding:
     """Return a finding with its reservations, as bad as the worst of them."""
+    # What speaks for a model never outweighs what speaks against it.
     levels = [level for level, _ in reservations] or [Rating.GOOD]
     text = separator.join([text, *(words for _, words in reservations)])
     return Finding(min(levels, key=WORST_FIRST.index), f"{text}.")

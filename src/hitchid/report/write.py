@@ -127,6 +127,7 @@ def write_report_files(
     Raises:
         InputError: a package that a format requires is not installed.
     """
+    # All is rendered before the first file is written: a renderer that fails leaves nothing half done.
     figures = {f"{FIGURES}/{picture.name}.svg": picture.svg.encode() for picture in document.pictures}
     data = csv_files((picture.table for picture in document.pictures if picture.data), data_folder)
     rendered = {FILES[name]: render(document, name) for name in ("html", *formats)}

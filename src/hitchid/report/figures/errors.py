@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hitchid.plots.style import (
@@ -37,13 +36,7 @@ MAX_SAMPLES, QUANTILES = 2000, 201  # samples, as in the paper; points of a cumu
 def predicted_errors(
     name: str, subsets: Mapping[str, Predictions], unit: str, caption: str, alt: str
 ) -> Picture:
-    """Return the benchmark's error and its prediction one step ahead, 2000 samples (paper, Fig. 7 and 8).
-
-    Args:
-        name, caption, alt: of the picture.
-        subsets: `training` and `validation`, or another subset of the data, to its tests.
-        unit: of the displacement.
-    """
+    """Return the benchmark's error and its prediction one step ahead, 2000 samples (paper, Fig. 7 and 8)."""
     several = len(subsets) > 1
     data = {}
     figure = Figure(figsize=(COLUMN_IN, 0.3 + 1.6 * len(subsets)))
@@ -72,13 +65,7 @@ def predicted_errors(
 def error_distribution(
     name: str, rows: Mapping[str, np.ndarray], unit: str, caption: str, alt: str
 ) -> Picture:
-    """Return histogram with fitted normal, and cumulative distribution of |error| (paper, Fig. 9 and 10).
-
-    Args:
-        name, caption, alt: of the picture.
-        rows: subset of the data, or model, to its errors, shape [M].
-        unit: of the displacement.
-    """
+    """Return histogram with fitted normal, and cumulative distribution of |error| (paper, Fig. 9 and 10)."""
     figure = Figure(figsize=(COLUMN_IN, 3.9))
     histogram_axis, distribution_axis = figure.subplots(2, 1)
     finite_errors = [errors for errors in rows.values() if _has_finite_mean_square(errors)]
@@ -90,7 +77,18 @@ def error_distribution(
         if not _has_finite_mean_square(errors):
             histogram_axis.plot([], [], color=colour, linewidth=0.9, label=f"{label(row)}: diverged")
             continue
-        _histogram(histogram_axis, errors, half_width, colour, label(row))
+        mean, spread = float(errors.mean()), float(errors.std())
+        inside = errors[np.abs(errors) <= half_width]
+        bins = np.linspace(-half_width, half_width, 61)
+        # Of all errors, also those beyond the axis: the area is the share of samples that is shown.
+        weights = np.full(inside.size, 1.0 / (errors.size * (bins[1] - bins[0])))
+        histogram_axis.hist(inside, bins=bins.tolist(), weights=weights, color=colour, alpha=0.2)
+        if spread > 0:
+            grid = np.linspace(-half_width, half_width, 200)
+            density = np.exp(-0.5 * ((grid - mean) / spread) ** 2) / (spread * np.sqrt(2 * np.pi))
+            histogram_axis.plot(grid, density, color=colour, linewidth=0.9, label=label(row))
+        else:
+            histogram_axis.plot([mean], [0], "o", color=colour, markersize=3, label=label(row), clip_on=False)
         share = np.linspace(0, 1, QUANTILES)
         distribution_axis.plot(
             np.quantile(np.abs(errors), share),
@@ -123,12 +121,8 @@ def outputs(
 ) -> Picture:
     """Return measured and predicted displacement, and the errors, tests concatenated (paper, Fig. 11, 12).
 
-    Args:
-        name, caption, alt: of the picture.
-        tests: few, since they share one axis.
-        unit: of the displacement.
-        models: keys of the predictions to draw.
-        recorded: keys of the predictions in its data; those that are drawn if there are none.
+    The tests share one axis, so they are few. `recorded` are the predictions in its data; those that are
+    drawn if there are none.
     """
     figure = Figure(figsize=(COLUMN_IN, 4.2))
     displacement_axes, error_axes = figure.subplots(2, 1, sharex=True)
@@ -151,14 +145,7 @@ def outputs(
 def errors_by_test(
     name: str, tests: Predictions, unit: str, models: Sequence[str], caption: str, alt: str
 ) -> Picture:
-    """Return the RMSE of every test in free run, one row of points per model; infinite where it diverged.
-
-    Args:
-        name, caption, alt: of the picture.
-        tests: all unseen tests.
-        unit: of the displacement.
-        models: keys of the predictions, from the bottom up.
-    """
+    """Return the RMSE of every test in free run, one row of points per model, from the bottom up."""
     figure = Figure(figsize=(COLUMN_IN, 0.7 + 0.32 * len(models)))
     axis = figure.subplots()
     rmse = {model: tests.rmse(model) for model in models}
@@ -185,14 +172,7 @@ def errors_by_test(
 
 @styled
 def horizons(name: str, errors: Horizons, step_s: float, unit: str, caption: str, alt: str) -> Picture:
-    """Return the error over the prediction horizon.
-
-    Args:
-        name, caption, alt: of the picture.
-        errors: RMSE of each model.
-        step_s: sampling time, s.
-        unit: of the displacement.
-    """
+    """Return the error over the prediction horizon."""
     figure = Figure(figsize=(COLUMN_IN, 3.0))
     axis = figure.subplots()
     ahead_s = step_s * np.array(errors.steps)
@@ -224,12 +204,7 @@ def horizons(name: str, errors: Horizons, step_s: float, unit: str, caption: str
 
 @styled
 def residual_correlations(name: str, residuals: ResidualTests) -> Picture:
-    """Return autocorrelation of the errors and their cross-correlation with the command, with 99 % bounds.
-
-    Args:
-        name: of the picture.
-        residuals: of the free run of one direction.
-    """
+    """Return autocorrelation of the errors and their cross-correlation with the command, with 99 % bounds."""
     figure = Figure(figsize=(COLUMN_IN, 3.4))
     autocorrelation_axes, cross_correlation_axes = figure.subplots(2, 1)
     draw_residual_correlations(autocorrelation_axes, cross_correlation_axes, residuals)
@@ -254,13 +229,7 @@ def residual_correlations(name: str, residuals: ResidualTests) -> Picture:
 
 @styled
 def residuals_by_variable(name: str, residuals: ResidualTests, unit: str, command_unit: str) -> Picture:
-    """Return mean and spread of the errors over displacement, speed and command.
-
-    Args:
-        name: of the picture.
-        residuals: of the free run of one direction.
-        unit, command_unit: of displacement and command.
-    """
+    """Return mean and spread of the errors over displacement, speed and command."""
     figure = Figure(figsize=(COLUMN_IN, 4.4))
     axes = figure.subplots(len(VARIABLES), 1, sharey=True)
     draw_residuals_by_variable(axes, residuals, unit, command_unit)
@@ -285,13 +254,7 @@ def residuals_by_variable(name: str, residuals: ResidualTests, unit: str, comman
 
 @styled
 def coverage(name: str, bands: BandFigures, step_s: float) -> Picture:
-    """Return the share of unseen samples inside the bands, over the prediction horizon.
-
-    Args:
-        name: of the picture.
-        bands: of one direction.
-        step_s: sampling time, s.
-    """
+    """Return the share of unseen samples inside the bands, over the prediction horizon."""
     figure = Figure(figsize=(COLUMN_IN, 2.2))
     axis = figure.subplots()
     data: dict[str, Sequence | np.ndarray] = {}
@@ -323,17 +286,3 @@ def _has_finite_mean_square(errors: np.ndarray) -> bool:
     """Return whether the mean square of errors is finite, that is, the model has not diverged."""
     with np.errstate(over="ignore", invalid="ignore"):
         return bool(np.isfinite(np.sum(errors**2)))
-
-
-def _histogram(axis: Axes, errors: np.ndarray, half_width: float, colour: str, label: str) -> None:
-    mean, spread = float(errors.mean()), float(errors.std())
-    inside = errors[np.abs(errors) <= half_width]
-    bins = np.linspace(-half_width, half_width, 61)
-    weights = np.full(inside.size, 1.0 / (errors.size * (bins[1] - bins[0])))
-    axis.hist(inside, bins=bins.tolist(), weights=weights, color=colour, alpha=0.2)
-    if spread > 0:
-        grid = np.linspace(-half_width, half_width, 200)
-        density = np.exp(-0.5 * ((grid - mean) / spread) ** 2) / (spread * np.sqrt(2 * np.pi))
-        axis.plot(grid, density, color=colour, linewidth=0.9, label=label)
-    else:
-        axis.plot([mean], [0], "o", color=colour, markersize=3, label=label, clip_on=False)

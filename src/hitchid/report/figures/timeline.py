@@ -37,12 +37,7 @@ class Mark(NamedTuple):
 
 @styled
 def timeline(records: Sequence[tuple[Record, Sequence[Segment]]], marks: Sequence[Mark] = ()) -> Figure:
-    """Return records, one per row: displacement with coloured segments, and the commands.
-
-    Args:
-        records: logs with their segments, as `data.segmentation.segments` returns them.
-        marks: intervals to mark.
-    """
+    """Return records, one per row: displacement with segments and marked intervals, and the commands."""
     figure = Figure(figsize=(PAGE_IN, ROW_IN * len(records) + 0.4))
     axes = figure.subplots(2 * len(records), 1, squeeze=False, height_ratios=[2, 1] * len(records))[:, 0]
     for number, (record, segments) in enumerate(records):
@@ -59,12 +54,7 @@ def timeline(records: Sequence[tuple[Record, Sequence[Segment]]], marks: Sequenc
 
 
 def timeline_picture(records: Sequence[tuple[Record, Sequence[Segment]]], total: int) -> Picture:
-    """Return the figure of `timeline` with displacement, commands and segment of each sample, log below log.
-
-    Args:
-        records: some mixed logs with their segments.
-        total: number of mixed logs.
-    """
+    """Return `timeline` of some of the mixed logs, with the data of each sample, log below log."""
     data: dict[str, list] = {"log": [], "time_s": [], "segment": []}
     for record, segments in records:
         data["log"] += [record.name] * len(record)

@@ -1,6 +1,7 @@
-"""Figures of what was identified: parameters, loads of the tests, speed over command, dead zone."""
+"""Figures of an identification: search, training, structures; parameters, loads, speed map, dead zone."""
 
 from collections.abc import Sequence
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,12 +10,173 @@ from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter, NullLoca
 
 from hitchid._support.inert import printable
 from hitchid.logs.record import Record
-from hitchid.model import Characteristics, Estimate, LoadScatter
+from hitchid.model import Characteristics, Estimate, LoadScatter, SearchSummary
 from hitchid.model.plotting import draw_characteristics
-from hitchid.model.trace import TracedDeadZone
-from hitchid.plots.style import COLOURS, COLUMN_IN, FAINT, INK, decimate, legend_above, styled
+from hitchid.model.trace import TracedCandidate, TracedDeadZone, TracedSearch, TracedTraining
+from hitchid.plots.style import (
+    COLOURS,
+    COLUMN_IN,
+    FAINT,
+    INK,
+    decimate,
+    finite_or_nan,
+    legend_above,
+    logarithmic,
+    styled,
+)
 from hitchid.report.document import Picture, sentence
 from hitchid.validation.valve_map import ValveMap
+
+SEARCH_COLOURS = {"whale": "one_step", "differential-evolution": "benchmark", "multi-start": "greybox"}
+WRAP = 24  # characters per line of the name of a structure; chosen
+
+
+@styled
+def convergence(name: str, search: TracedSearch, unit: str, caption: str, alt: str) -> Picture:
+    """Return best fitness and each parameter over the iterations of the search (paper, Fig. 5 and 6)."""
+    parameters = search.parameters
+    fitness = finite_or_nan(search.fitness)
+    iteration = np.arange(1, fitness.size + 1)
+    figure = Figure(figsize=(COLUMN_IN, 0.5 + 0.78 * (1 + len(parameters))))
+    axes = np.atleast_1d(figure.subplots(1 + len(parameters), 1, sharex=True))
+    axes[0].plot(iteration, fitness, color=COLOURS["benchmark"])
+    axes[0].set_ylabel(f"RMSE\n/ {unit}")
+    logarithmic(axes[0].yaxis)
+    data = {"iteration": iteration, f"rmse_{unit}": search.fitness}
+    for axis, parameter, values in zip(axes[1:], parameters, np.array(search.values).T, strict=True):
+        data[parameter.name] = values
+        axis.plot(iteration, values, color=COLOURS["one_step"], label="best so far")
+        axis.axhline(parameter.value, color=INK, linewidth=0.7, linestyle=":", label="after least squares")
+        unit_suffix = "" if parameter.unit == "1" else f"\n/ {parameter.unit}"
+        axis.set_ylabel(f"{parameter.symbol or parameter.name.replace('_', ' ')}{unit_suffix}")
+        if not parameter.linear:
+            logarithmic(axis.yaxis)
+    legend_above(figure, *axes[1:])
+    axes[-1].set_xlabel("iteration")
+    figure.align_ylabels()
+    return Picture(name, figure, caption, alt, data=data)
+
+
+@styled
+def searches(name: str, results: Sequence[SearchSummary], unit: str) -> Picture:
+    """Return the final error of searches from several seeds, and the convergence of the median run."""
+    figure = Figure(figsize=(COLUMN_IN, 2.6))
+    history_axis, final_axis = figure.subplots(1, 2, sharey=True, width_ratios=[2, 1])
+    data = {}
+    for index, result in enumerate(results):
+        colour = COLOURS[SEARCH_COLOURS.get(result.name, "faint")]
+        budget = np.linspace(0, 100, len(result.median_rmse))
+        history_axis.plot(budget, finite_or_nan(result.median_rmse), color=colour, label=result.name)
+        final_errors = [value for value in result.rmse if value is not None]
+        final_axis.plot([index] * len(final_errors), final_errors, "o", color=colour, markersize=3, alpha=0.7)
+        data |= {
+            f"{result.name}_budget_percent": budget,
+            f"{result.name}_median_run_rmse_{unit}": result.median_rmse,
+            f"{result.name}_final_rmse_{unit}": result.rmse,
+        }
+    logarithmic(history_axis.yaxis)
+    history_axis.set_xlabel("evaluations used / %")
+    history_axis.set_ylabel(f"best RMSE / {unit}")
+    final_axis.set_xticks(range(len(results)), [""] * len(results))
+    final_axis.set_xlim(-0.6, len(results) - 0.4)
+    final_axis.set_xlabel("ends")
+    legend_above(figure, history_axis)
+    return Picture(
+        name,
+        figure,
+        "Searches with equal evaluations: the median run, and the final error of each seed.",
+        f"Best RMSE over the evaluations for {', '.join(result.name for result in results)}.",
+        data=data,
+    )
+
+
+@styled
+def losses(name: str, training: TracedTraining) -> Picture:
+    """Return the loss of the compensator's training on training and validation tests over the epochs."""
+    figure = Figure(figsize=(COLUMN_IN, 2.2))
+    axis = figure.subplots()
+    curves = (
+        ("training", training.training_loss, "one_step"),
+        ("validation", training.validation_loss, "transfer_function"),
+    )
+    for subset, loss, colour in curves:
+        epochs = np.arange(1, len(loss) + 1)
+        axis.plot(epochs, finite_or_nan(loss), color=COLOURS[colour], label=subset)
+    axis.axvline(training.best_epoch, color=FAINT, linewidth=0.8, linestyle="--", label="kept")
+    logarithmic(axis.yaxis)
+    axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axis.set_xlabel("epoch")
+    axis.set_ylabel("loss, errors scaled to 1")
+    legend_above(figure, axis, columns=3)
+    return Picture(
+        name,
+        figure,
+        "Training of the LSTM correction; the epoch with the smallest validation loss is used.",
+        f"Losses over epochs; epoch {training.best_epoch} is used.",
+        data={
+            "epoch": np.arange(1, max(len(training.training_loss), len(training.validation_loss)) + 1),
+            "training_loss": training.training_loss,
+            "validation_loss": training.validation_loss,
+        },
+    )
+
+
+@styled
+def structures(
+    name: str, candidates: Sequence[TracedCandidate], unit: str, choice_held_out_rmse: float | None
+) -> Picture:
+    """Return the compared model specifications: RMSE on all tests, and cross-validated by operating point.
+
+    `choice_held_out_rmse` is on levels that neither fitted nor chose the structure; None where none were.
+    """
+    figure = Figure(figsize=(COLUMN_IN, 0.8 + 0.33 * len(candidates)))
+    axis = figure.subplots()
+    row_positions = np.arange(len(candidates))[::-1]
+    rmse = [candidate.rmse for candidate in candidates]
+    held_out = [candidate.held_out_rmse for candidate in candidates]
+    for values, sign, colour, inside, label in (
+        (rmse, "o", INK, "none", "all tests"),
+        (held_out, "D", COLOURS["benchmark"], "full", "cross-validation over levels"),
+    ):
+        axis.plot(
+            finite_or_nan(values),
+            row_positions,
+            sign,
+            color=colour,
+            fillstyle=inside,
+            markersize=4,
+            label=label,
+        )
+    names = [f"{candidate.name}{' (chosen)' if candidate.chosen else ''}" for candidate in candidates]
+    axis.set_yticks(row_positions, [fill(printable(name), WRAP) for name in names])
+    axis.set_ylim(-0.6, len(candidates) - 0.4)
+    logarithmic(axis.xaxis)
+    axis.set_xlabel(f"RMSE in free run / {unit}")
+    legend_above(figure, axis)
+    caption = (
+        "Free-run RMSE of each structure, on all tests and in cross-validation over levels. A larger "
+        "structure is taken where it is significantly better in cross-validation, as shown or with a gain "
+        "fitted to each test, which this figure does not include; in the other of the two it must not be "
+        "significantly worse."
+    )
+    if choice_held_out_rmse is not None:
+        error = f"{choice_held_out_rmse:.4g} {unit}"
+        caption += f" On levels that neither fitted nor chose the structure: {error}."
+    chosen = next(candidate.name for candidate in candidates if candidate.chosen)
+    data = {
+        "structure": [candidate.name for candidate in candidates],
+        f"rmse_{unit}": rmse,
+        f"held_out_rmse_{unit}": held_out,
+        f"held_out_rmse_per_test_gain_{unit}": [
+            candidate.held_out_rmse_per_test_gain for candidate in candidates
+        ],
+        "chosen": [candidate.chosen for candidate in candidates],
+    }
+    alt = f"RMSE of {len(candidates)} structures; chosen: {chosen}."
+    return Picture(name, figure, caption, alt, data=data)
+
+
+# What was identified.
 
 MARGIN = 0.6  # margin of an interval, share of its width; all values chosen
 ROW_IN, NAMED_ROWS = 0.16, 48  # height of a test, in; tests whose names fit on a page; chosen
@@ -27,11 +189,6 @@ def intervals(name: str, title: str, estimates: Sequence[Estimate]) -> Picture:
     """Return each parameter with its 95 % interval, one row with its own scale per parameter.
 
     Open ends are arrows to the edge; the thin line is the bootstrap interval.
-
-    Args:
-        name: of the picture.
-        title: the parameters' own, in its caption.
-        estimates: of the parameters of one direction.
     """
     figure = Figure(figsize=(COLUMN_IN, 0.25 + 0.62 * len(estimates)))
     for axis, estimate in zip(np.atleast_1d(figure.subplots(len(estimates), 1)), estimates, strict=True):
@@ -93,10 +250,6 @@ def loads(name: str, load_scatter: LoadScatter) -> Picture:
     """Return each test's speed above the model's with its 95 % interval, slowest below, in percent.
 
     The band is ± the scatter between tests. Of very many tests the names are left out.
-
-    Args:
-        name: of the picture.
-        load_scatter: of one direction.
     """
     tests = sorted(load_scatter.tests, key=lambda test: test.speed)
     figure = Figure(figsize=(COLUMN_IN, 0.6 + ROW_IN * min(len(tests), NAMED_ROWS)))
@@ -134,10 +287,6 @@ def speed_map(name: str, characteristics: Characteristics, alt: str) -> Picture:
     """Return speed over command for each load, with 95 % bands, and the mean speeds measured in tests.
 
     Points without a line are measured speeds; a band without an upper end extends to the edge.
-
-    Args:
-        name, alt: of the picture.
-        characteristics: operating characteristics of one direction.
     """
     figure = Figure(figsize=(COLUMN_IN, 2.6))
     axes = figure.subplots()
@@ -171,11 +320,6 @@ def valve_map(name: str, valve: ValveMap, unit: str, command_unit: str) -> Pictu
     """Return the steady speed of the benchmark over the command, and the speeds measured in the logs.
 
     Points are medians of equal numbers of samples, lines their 10 % to 90 % quantiles.
-
-    Args:
-        name: of the picture.
-        valve: speeds of one direction.
-        unit, command_unit: of displacement and command.
     """
     figure = Figure(figsize=(COLUMN_IN, 2.7))
     axis = figure.subplots()
@@ -218,15 +362,7 @@ def valve_map(name: str, valve: ValveMap, unit: str, command_unit: str) -> Pictu
 def dead_zone(
     name: str, ramps: Sequence[Record], direction: str, zone: TracedDeadZone, unit: str, command_unit: str
 ) -> Picture:
-    """Return displacement over the command of slow ramps, around the command at which motion begins.
-
-    Args:
-        name: of the picture.
-        ramps: slow ramps of one direction.
-        direction: lifting or lowering.
-        zone: dead zone, and its standard deviation over ramps.
-        unit, command_unit: of displacement and command.
-    """
+    """Return displacement over the command of slow ramps, around the command at which motion begins."""
     value, spread = zone.value, zone.spread
     figure = Figure(figsize=(COLUMN_IN, 2.3))
     axis = figure.subplots()
