@@ -255,7 +255,7 @@ class CampaignJob:
         ]
         settled_s = max([SETTLED_S, *(RESPONSES * response_s for response_s in responses_s)])
         held = holds(records, dead_zones, limits, settled_s)
-        # Without a response time it is open how long a piston moves after its command: that would be no drift.
+        # Without a response time it is open how long a piston moves after its command, which is no drift.
         is_used = self.config.drift
         if is_used is None:
             is_used = len(responses_s) == len(results) and drift_is_shown(held)

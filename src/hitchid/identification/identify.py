@@ -169,7 +169,7 @@ def identify(
             settings, `Whale`, `DifferentialEvolution` or `MultiStart`.
         training: settings of phase 2; None identifies benchmarks alone.
         dead_zones: direction to dead zone, in the command's unit, where it is known.
-        drift: whether the drift of a held piston is identified, else it is zero; None: where the logs show one.
+        drift: whether a held piston is given a drift; None: where the logs show one.
         rivals: models that are fitted for comparison. False for those that cost little, ARX and the paper's
             transfer function; True for all, which takes longer than the model and may follow later, see
             `train_rivals`; None for none.
