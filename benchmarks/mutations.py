@@ -149,7 +149,7 @@ MUTATIONS = (
         "identification/test_dead_zone.py",
     ),
     Mutation(
-        "identification/campaign_job.py",
+        "identification/hold_drift.py",
         "edges[::2] + settling_samples",
         "edges[::2]",
         "identification/test_hold_drift.py",

@@ -24,7 +24,7 @@ from hitchid.model import (
     Uncertainty,
 )
 from hitchid.model.load_filter import LoadFilter
-from hitchid.networks.error_compensator import FEATURES, Compensator
+from hitchid.networks.error_compensator import COMPENSATOR_FEATURES, Compensator
 from hitchid.networks.lstm import Lstm
 from hitchid.networks.operating_range import OperatingRange, SignalRange
 from hitchid.networks.speed_compensator import SIGNALS, SpeedCompensator, SpeedNetworks
@@ -68,7 +68,7 @@ def compensator(seed=0, *, trained=True):
     centre = np.array([2.0, 0.2, 0.0, 100.0, 0.0, 100.0, 0.0, 0.0, 0.0, 0.0])
     spread = np.array([1.0, 0.2, 0.1, 20.0, 0.1, 20.0, 10.0, 0.5, 0.1, 0.5])
     return Compensator(
-        network(len(FEATURES), seed, trained=trained),
+        network(len(COMPENSATOR_FEATURES), seed, trained=trained),
         jnp.asarray(centre),
         jnp.asarray(spread),
         jnp.asarray(ERROR_STEP),

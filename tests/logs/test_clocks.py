@@ -11,13 +11,15 @@ from hitchid.errors import LogError
 from hitchid.logs import ReaderProcess, read_log
 from hitchid.logs.content import Content, LogChannel
 from hitchid.logs.log_table import resample_to_common_clock, table_of
-from hitchid.logs.signal_map import CampaignFile, Column, SignalMap
+from hitchid.logs.signal_map import CampaignFile, SignalColumn, SignalMap
 
 EPS = np.finfo(np.float64).eps
 SOURCE = Path("log.mf4")
 FAST, SLOW = np.arange(1000) / 1000, np.arange(100) / 100
-SIGNALS = SignalMap(displacement=Column(column="x", unit="mm"), lifting_command=Column(column="i", unit="A"))
-WITH_P = SIGNALS.model_copy(update={"covariates": (Column(column="p"),)})
+SIGNALS = SignalMap(
+    displacement=SignalColumn(column="x", unit="mm"), lifting_command=SignalColumn(column="i", unit="A")
+)
+WITH_P = SIGNALS.model_copy(update={"covariates": (SignalColumn(column="p"),)})
 
 
 def line(time_s):
@@ -83,8 +85,8 @@ def test_a_fast_command_is_held_on_a_slow_clock():
 @pytest.mark.parametrize("roles", ["command", "lifting_command lowering_command"])
 def test_no_command_takes_a_value_between_its_levels(roles):
     # Signed commands, too: a valve never saw the values between.
-    columns = {role: Column(column=role, unit="A") for role in roles.split()}
-    signals = SignalMap(displacement=Column(column="x", unit="mm"), **columns)
+    columns = {role: SignalColumn(column=role, unit="A") for role in roles.split()}
+    signals = SignalMap(displacement=SignalColumn(column="x", unit="mm"), **columns)
     fast = FAST + 0.0004
     commands = {role: (fast, np.sign(np.sin(40 * fast))) for role in columns}
     table = merged({"x": (SLOW, line(SLOW)), **commands}, signals)
@@ -160,7 +162,7 @@ def test_a_slow_covariate_leaves_the_clock_to_the_motion(step_s):
 
 
 def test_what_is_logged_on_change_is_held_until_it_changes():
-    signals = SIGNALS.model_copy(update={"covariates": (Column(column="mode"),)})
+    signals = SIGNALS.model_copy(update={"covariates": (SignalColumn(column="mode"),)})
     clock = np.arange(1000) / 100
     changes, levels = np.array([0.0, 1.0, 1.35, 6.0]), np.array([0.0, 0.6, 0.4, 0.0])
     modes = np.array([3.0, 4.0, 4.0, 5.0])

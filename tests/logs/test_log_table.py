@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 from hitchid.errors import LogError
 from hitchid.logs.content import ChannelSelection, Content, LogChannel, match_channels
 from hitchid.logs.log_table import table_of
-from hitchid.logs.signal_map import COMMANDS, POSITIONS, Column, SignalMap
+from hitchid.logs.signal_map import COMMANDS, POSITIONS, SignalColumn, SignalMap
 from hitchid.logs.units import UNITS
 
 EPS = np.finfo(np.float64).eps
@@ -33,7 +33,9 @@ def signal_map(displacement, unit=None, *, time=("t", "s"), command=("i", "A"), 
     """Return a signal map of one lifting command, given column and unit each."""
     given = {"time": time, "displacement": (displacement, unit), "lifting_command": command}
     columns = {
-        role: Column(column=named[0], unit=named[1]) for role, named in given.items() if named is not None
+        role: SignalColumn(column=named[0], unit=named[1])
+        for role, named in given.items()
+        if named is not None
     }
     return SignalMap(**{**columns, **more})
 
@@ -204,9 +206,9 @@ def test_a_covariate_has_the_files_unit_else_its_names(name, said, unit):
 
 def test_a_signed_command_is_split_in_the_maps_unit():
     signals = SignalMap(
-        time=Column(column="t", unit="s"),
-        displacement=Column(column="x", unit="mm"),
-        command=Column(column="i", unit="A"),
+        time=SignalColumn(column="t", unit="s"),
+        displacement=SignalColumn(column="x", unit="mm"),
+        command=SignalColumn(column="i", unit="A"),
     )
     table = table_of(content("mm", current="mA"), signals)
     up, down = table.signals["lifting_command"], table.signals["lowering_command"]
@@ -280,7 +282,7 @@ SCALES = NUMBERS.filter(lambda scale: abs(scale) > 1e-3)
 
 def scaled(unit=None, *, said=None, **more):
     """Return the displacement of a column with zero and scale, and the notices."""
-    signals = signal_map("x").model_copy(update={"displacement": Column(column="x", unit=unit, **more)})
+    signals = signal_map("x").model_copy(update={"displacement": SignalColumn(column="x", unit=unit, **more)})
     table = table_of(content(said), signals)
     return table.signals["displacement"], table.units["displacement"], table.notices[1:]
 
@@ -314,16 +316,16 @@ def test_a_scaled_signal_has_the_maps_unit_else_the_files(unit, said, result):
 
 def test_a_scaled_time_is_in_seconds():
     signals = signal_map("x", "mm").model_copy(
-        update={"time": Column(column="t", unit="ms", scale=5.0, zero=STAMPS[0])}
+        update={"time": SignalColumn(column="t", unit="ms", scale=5.0, zero=STAMPS[0])}
     )
     np.testing.assert_allclose(table_of(content(), signals).time_s, STAMPS * 5e-3, rtol=4 * EPS)
 
 
 def test_a_signed_command_rests_at_its_neutral():
     signals = SignalMap(
-        time=Column(column="t", unit="s"),
-        displacement=Column(column="x", unit="mm"),
-        command=Column(column="i", unit="percent", zero=7.5, scale=-1.0),
+        time=SignalColumn(column="t", unit="s"),
+        displacement=SignalColumn(column="x", unit="mm"),
+        command=SignalColumn(column="i", unit="percent", zero=7.5, scale=-1.0),
     )
     readings = np.where(STAMPS[10] > STAMPS, 7.5, np.where(STAMPS[20] > STAMPS, 5.0, 9.0))
     table = table_of(content(i=LogChannel(readings)), signals)
@@ -332,7 +334,7 @@ def test_a_signed_command_rests_at_its_neutral():
 
 
 def test_a_covariate_may_have_unit_zero_and_scale():
-    oil = Column(column="p", unit="bar", zero=0.5, scale=100.0)
+    oil = SignalColumn(column="p", unit="bar", zero=0.5, scale=100.0)
     table = table_of(content("mm", p=LogChannel(CURRENT, "V")), signal_map("x", covariates=[oil, "i"]))
     assert (table.units["p"], table.units["i"]) == ("bar", "1")
     np.testing.assert_array_equal(table.signals["p"], (CURRENT - 0.5) * 100.0)

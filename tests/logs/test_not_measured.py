@@ -10,13 +10,13 @@ from hitchid.logs.audit import audit
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.content import Content, LogChannel
 from hitchid.logs.log_table import records_of, table_of
-from hitchid.logs.signal_map import Column, SignalMap
+from hitchid.logs.signal_map import SignalColumn, SignalMap
 
 STEP_S, SAMPLES, NOISE_MM = 0.01, 500, 0.05
 SIGNALS = SignalMap(
-    displacement=Column(column="x", unit="mm"),
-    lifting_command=Column(column="i", unit="A"),
-    covariates=(Column(column="p", unit="bar"),),
+    displacement=SignalColumn(column="x", unit="mm"),
+    lifting_command=SignalColumn(column="i", unit="A"),
+    covariates=(SignalColumn(column="p", unit="bar"),),
 )
 ONSET, RELEASE = 60, 400
 

@@ -8,7 +8,7 @@ import pytest
 from hitchid.errors import InputError
 from hitchid.logs import find_logs, propose, write_table
 from hitchid.logs.motion import Windows
-from hitchid.logs.signal_map import Column, SignalMap, read_campaign_file
+from hitchid.logs.signal_map import SignalColumn, SignalMap, read_campaign_file
 
 STEP_S = 0.01
 
@@ -48,10 +48,10 @@ def test_two_one_sided_commands_are_found_with_units_and_covariate(logs):
     folder = logs(up=True)
     (folder / "campaign.toml").write_text(propose(folder))
     assert read_campaign_file(folder / "campaign.toml").signals == SignalMap(
-        time=Column(column="clock", unit="s"),
-        lifting_command=Column(column="duty_up", unit="percent"),
-        lowering_command=Column(column="duty_dn", unit="percent"),
-        displacement=Column(column="stroke_mm", unit="mm"),
+        time=SignalColumn(column="clock", unit="s"),
+        lifting_command=SignalColumn(column="duty_up", unit="percent"),
+        lowering_command=SignalColumn(column="duty_dn", unit="percent"),
+        displacement=SignalColumn(column="stroke_mm", unit="mm"),
         covariates=("head_pressure",),
     )
 

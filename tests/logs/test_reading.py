@@ -10,7 +10,7 @@ from hitchid.errors import InputError, LogError
 from hitchid.logs import ReaderProcess, find_logs, read, read_log, write_table
 from hitchid.logs.formats import record_name
 from hitchid.logs.log_table import MIN_SAMPLES
-from hitchid.logs.signal_map import DEFAULT_SIGNALS, CampaignFile, Column
+from hitchid.logs.signal_map import DEFAULT_SIGNALS, CampaignFile, SignalColumn
 
 EPS = np.finfo(np.float64).eps
 STEP_S = 0.01
@@ -264,7 +264,7 @@ def test_any_start_and_unit_of_time_gives_the_same_clock(folder, unit, per_secon
     log["time_s"] = (start_s + STEP_S * np.arange(SAMPLES)) * per_second
     write_table(folder / "a.csv", log)
     settings = CampaignFile(
-        signals=DEFAULT_SIGNALS.model_copy(update={"time": Column(column="time_s", unit=unit)})
+        signals=DEFAULT_SIGNALS.model_copy(update={"time": SignalColumn(column="time_s", unit=unit)})
     )
     (record,) = read_log(folder / "a.csv", settings, ReaderProcess())
     assert record.step_s == STEP_S

@@ -3,7 +3,7 @@
 import pytest
 
 from hitchid.errors import SettingsError
-from hitchid.logs.signal_map import DEFAULT_SIGNALS, Column, read_campaign_file
+from hitchid.logs.signal_map import DEFAULT_SIGNALS, SignalColumn, read_campaign_file
 
 CONTRACT = """
 [signals]
@@ -29,11 +29,11 @@ def parse(tmp_path, text):
 
 def test_the_file_of_the_contract_is_understood(tmp_path):
     file = parse(tmp_path, CONTRACT)
-    assert file.signals.time == Column(column="time_s", unit="s")
-    assert file.signals.lifting_command == Column(column="duty_up_percent", unit="percent")
-    assert file.signals.lowering_command == Column(column="duty_down_percent", unit="percent")
-    assert file.signals.displacement == Column(column="angle_deg", unit="deg")
-    assert file.signals.covariates == (Column.model_validate({"column": "head_pressure"}),)
+    assert file.signals.time == SignalColumn(column="time_s", unit="s")
+    assert file.signals.lifting_command == SignalColumn(column="duty_up_percent", unit="percent")
+    assert file.signals.lowering_command == SignalColumn(column="duty_down_percent", unit="percent")
+    assert file.signals.displacement == SignalColumn(column="angle_deg", unit="deg")
+    assert file.signals.covariates == (SignalColumn.model_validate({"column": "head_pressure"}),)
     assert file.split is not None
     assert file.split.test == ("*-050-*", "*-090-*")
     assert file.tests == {"warm-up-*": "cycle"}
@@ -56,7 +56,7 @@ def test_a_byte_order_mark_and_windows_line_ends_do_no_harm(tmp_path):
 @pytest.mark.parametrize("command", ["command", "lifting_command", "lowering_command"])
 def test_one_command_is_enough(tmp_path, command):
     signals = parse(tmp_path, f'[signals]\n{command} = "valve_V"').signals
-    assert getattr(signals, command) == Column(column="valve_V", unit="V")
+    assert getattr(signals, command) == SignalColumn(column="valve_V", unit="V")
 
 
 SIGNED = '[signals]\ncommand = "valve_V"\n'
@@ -111,7 +111,7 @@ def test_columns_and_covariates_may_have_zero_and_scale(tmp_path):
         covariates = ["oil", { column = "T", unit = "degC", zero = 273.15, scale = 1 }]
         """,
     ).signals
-    assert signals.command == Column(column="Boom Cmd", unit="l/min", zero=7.4745, scale=-1.0)
+    assert signals.command == SignalColumn(column="Boom Cmd", unit="l/min", zero=7.4745, scale=-1.0)
     assert [(column.column, column.unit) for column in signals.covariates][1:] == [("T", "degC")]
     assert signals.covariates[0].column == "oil"
 

@@ -11,7 +11,7 @@ import handmade
 from hitchid.errors import InputError
 from hitchid.handover.responses import frequency_response, step_responses
 from hitchid.logs.record import LIFTING, LOWERING
-from hitchid.model.parameter_draws import DRAWS, draw_parameters
+from hitchid.model.parameter_draws import PARAMETER_DRAWS, draw_parameters
 from plotted import characteristics, hitch
 
 mpl.use("Agg")
@@ -33,7 +33,7 @@ def band_of(axes, number):
 
 def drawn_vectors(direction, seed=0):
     known = MODEL.uncertainty[direction].benchmark
-    return draw_parameters(MODEL.channels[direction].benchmark, known, DRAWS, seed)
+    return draw_parameters(MODEL.channels[direction].benchmark, known, PARAMETER_DRAWS, seed)
 
 
 def test_the_speed_map_shows_bands_measured_points_and_dead_zones():

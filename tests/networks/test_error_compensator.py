@@ -12,7 +12,7 @@ from hitchid.identification.phase2 import _sequences
 from hitchid.model.channel import ErrorPredictor, multi_step_errors
 from hitchid.model.load_filter import LoadFilter
 from hitchid.networks.error_compensator import (
-    FEATURES,
+    COMPENSATOR_FEATURES,
     Compensator,
     Sample,
     free_run,
@@ -58,7 +58,7 @@ def by_hand(made_up):
 def untrained(made_up):
     rows = by_hand(made_up)
     return Compensator(
-        Lstm.init(jax.random.key(0), len(FEATURES), HIDDEN),
+        Lstm.init(jax.random.key(0), len(COMPENSATOR_FEATURES), HIDDEN),
         jnp.asarray(rows.mean(axis=0)),
         jnp.asarray(rows.std(axis=0)),
         jnp.asarray(ERROR_STEP),
@@ -93,7 +93,7 @@ def test_features_are_the_ten_formulas_of_the_method(made_up):
     expected = by_hand(made_up)
     np.testing.assert_allclose(features, expected, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(memory.error, np.asarray(made_up.displacement - made_up.benchmark), atol=1e-12)
-    assert len(FEATURES) == expected.shape[1]
+    assert len(COMPENSATOR_FEATURES) == expected.shape[1]
     # Those of tests side by side are those of each.
     other = jax.tree.map(lambda array: array[::-1], made_up)
     _, both = features_of(jax.tree.map(lambda *pair: jnp.stack(pair, axis=1), made_up, other), STEP_S)
@@ -162,7 +162,7 @@ def test_training_reads_what_a_prediction_reads(compensator, made_up, make_recor
     features = by_hand(made_up)
     record = make_record(made_up.displacement, made_up.command)
     batch = Batch.of([record], "lifting", dead_zone=0.0, sign=1)
-    wide = np.zeros((1, batch.command.shape[1], len(FEATURES)))
+    wide = np.zeros((1, batch.command.shape[1], len(COMPENSATOR_FEATURES)))
     wide[0, :SAMPLES] = features
     innovations = np.random.default_rng(2).normal(size=wide.shape[:2])
     sequences = _sequences(compensator, wide, innovations, np.asarray(batch.loss_mask))

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handmade import envelope, speed_compensator
-from hitchid.networks.speed_compensator import AUTHORITY, simulate_compensated
+from hitchid.networks.speed_compensator import SPEED_AUTHORITY, simulate_compensated
 
 EPS = np.finfo(np.float64).eps
 SAMPLES, TESTS, STEP_S = 200, 3, 0.01
@@ -58,9 +58,9 @@ def test_its_speed_is_within_half_of_the_benchmarks_for_any_weights(seed, size, 
     ratio = np.diff(found, axis=1) / np.diff(np.asarray(travel), axis=1)
     # Travel up to 100 mm in steps of 1/1024 mm at least: what rounding makes of their ratio.
     rounding = 8 * EPS * float(travel.max()) / FINE
-    assert ratio.max() <= 1 + AUTHORITY + rounding
-    assert ratio.min() >= 1 - AUTHORITY - rounding
-    assert AUTHORITY == 0.5
+    assert ratio.max() <= 1 + SPEED_AUTHORITY + rounding
+    assert ratio.min() >= 1 - SPEED_AUTHORITY - rounding
+    assert SPEED_AUTHORITY == 0.5
 
 
 @pytest.mark.parametrize("beyond", ["command", "displacement", "load"])

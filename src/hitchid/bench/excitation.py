@@ -11,8 +11,8 @@ import numpy as np
 from scipy.signal import max_len_seq
 
 from hitchid.errors import InputError
-from hitchid.identification.dead_zone import from_ramps
-from hitchid.logs.record import DIRECTIONS, LIFTING, Record
+from hitchid.identification import from_ramps
+from hitchid.logs import DIRECTIONS, LIFTING, Record
 
 # Static test: dead zone and speed of a direction from slow ramps.
 

@@ -16,7 +16,7 @@ from hitchid.bench.quantities import QuantityRange, to_base_unit
 from hitchid.bench.sensors import CalibrationCurve, Sensors
 from hitchid.bench.valves import LiftingValve, LoweringValve, Oil, Spool, Supply
 from hitchid.errors import SettingsError
-from hitchid.logs.signal_map import describe, parse_toml
+from hitchid.logs import describe_settings, parse_toml
 
 CHECKED_POSITIONS = 201  # positions over the stroke at which the linkage is checked (chosen)
 SETS = resources.files("hitchid.bench") / "parameters"
@@ -102,7 +102,7 @@ def build_rig(tables: dict[str, object]) -> Rig:
     try:
         parsed = RigFile.model_validate(tables).model_dump()
     except ValidationError as error:
-        raise SettingsError(describe(error, RigFile)) from error
+        raise SettingsError(describe_settings(error, RigFile)) from error
     values = {
         table: {
             key: jnp.asarray(

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 
 from hitchid.errors import SettingsError
-from hitchid.logs.units import UNITS
+from hitchid.logs import UNITS
 
 _LITRE = 1e-3  # m³
 _MINUTE = 60.0  # s

@@ -30,8 +30,7 @@ from hitchid.bench.plant import Rig, rig_limits
 from hitchid.bench.simulation import simulate
 from hitchid.bench.valves import TANK_PRESSURE_PA, Values
 from hitchid.errors import InputError
-from hitchid.logs import write_table
-from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT, LIFTING, RAMP, Record
+from hitchid.logs import COMMAND, DIRECTIONS, DISPLACEMENT, LIFTING, RAMP, Record, write_table
 
 # Operating conditions of a campaign on the virtual bench: implement, oil temperature, a second consumer.
 

@@ -18,7 +18,7 @@ from hitchid.bench.simulation import SAMPLE_S
 from hitchid.bench.stepping import BenchState, reset, step
 from hitchid.bench.virtual_campaign import LITRES_PER_MIN, in_condition
 from hitchid.errors import InputError
-from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT, Record
+from hitchid.logs import COMMAND, DIRECTIONS, DISPLACEMENT, Record
 
 ENDS = ((0.55, 0.6), (0.4, 0.45))  # shares of the stroke where lifting and lowering end; tests reach both
 SWITCH = (0.2, 0.8)  # share of a stroke's way at which its command changes level; chosen

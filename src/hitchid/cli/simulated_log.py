@@ -15,7 +15,7 @@ from hitchid.logs.formats import record_name
 from hitchid.logs.formats.text import SUFFIXES, TextRows, read_rows, write_rows
 from hitchid.logs.log_table import LogTable, records_of
 from hitchid.logs.record import DISPLACEMENT, Record
-from hitchid.logs.signal_map import CampaignFile, Column, SignalMap, command_columns
+from hitchid.logs.signal_map import CampaignFile, SignalColumn, SignalMap, command_columns
 from hitchid.logs.units import UNITS
 from hitchid.model import Hitch
 from hitchid.model.inputs import Load, covariates_of, loads_by_name
@@ -111,7 +111,7 @@ def simulate_log(
 
 
 def _with_cells(
-    text: TextRows | None, table: LogTable, time: Column, columns: np.ndarray
+    text: TextRows | None, table: LogTable, time: SignalColumn, columns: np.ndarray
 ) -> tuple[Sequence[str], list[list[str]]]:
     """Return the header of a log, and its rows with the cells of predicted columns behind."""
     cells = [["" if np.isnan(value) else f"{value:.9g}" for value in row] for row in columns.T.tolist()]

@@ -34,8 +34,7 @@ from hitchid.control.scenarios import (
     scenarios,
     step_name,
 )
-from hitchid.model import Hitch
-from hitchid.model.inputs import Load
+from hitchid.model import Hitch, Load
 
 # Figures of a position controller: the worst of 95 % of its closed loops in each scenario.
 

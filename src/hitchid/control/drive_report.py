@@ -15,9 +15,8 @@ from hitchid.control.drive import BASELINE, TESTED, Drive
 from hitchid.control.prediction import Band
 from hitchid.control.scenarios import COMPENSATED, Kind, Scenario
 from hitchid.errors import SettingsError
-from hitchid.plots.style import COLOURS, FAINT, INK, PAGE_IN, legend_above, styled
-from hitchid.report import numbers
-from hitchid.report.document import (
+from hitchid.plots import COLOURS, FAINT, INK, PAGE_IN, legend_above, styled
+from hitchid.report import (
     Document,
     Finding,
     Picture,
@@ -26,9 +25,10 @@ from hitchid.report.document import (
     ReportSection,
     Table,
     Text,
+    limits_section,
+    numbers,
     sentence,
 )
-from hitchid.report.verdict import limits_section
 from hitchid.validation import Acceptance, Check
 
 # Acceptance limits of a drive, from a file: at most what its metrics may be.

@@ -19,11 +19,16 @@ from hitchid._support.records import short_repr
 from hitchid.control.axis import Axis
 from hitchid.control.controller import Gains, HitchController, HoldWindow
 from hitchid.control.tuning import Tuning
-from hitchid.logs.record import DIRECTIONS
-from hitchid.logs.signal_map import parse_settings
-from hitchid.model import Hitch
-from hitchid.model.description import describe_channel, read_physical_model
-from hitchid.model.schema import Described, PhysicalDescription, Row, StepTime
+from hitchid.logs import DIRECTIONS, parse_settings
+from hitchid.model import (
+    Described,
+    DescribedRow,
+    Hitch,
+    PhysicalDescription,
+    StepTime,
+    describe_channel,
+    read_physical_model,
+)
 from hitchid.structures import structure_named
 
 FORMAT = 2
@@ -35,8 +40,8 @@ CURVE_ROWS = 33  # of the table of speed and current, for other systems; chosen
 class Curve(Described):
     """Speed and current in the middle of the stroke, for a look-up block of another system."""
 
-    speed: Row[float]
-    command: Row[float]
+    speed: DescribedRow[float]
+    command: DescribedRow[float]
 
 
 class MarginsContent(Described):

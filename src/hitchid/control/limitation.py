@@ -14,10 +14,8 @@ from hitchid.control.loops import SHARE, DirectionLoops, pi_gains
 from hitchid.control.prediction import loads_of_channels
 from hitchid.control.tuning import HIGHEST_RAD_S, LOWEST_RAD_S, check_tunable, fastest_gains, highest_rad_s
 from hitchid.errors import InputError
-from hitchid.logs.record import DIRECTIONS
-from hitchid.model import Hitch
-from hitchid.model.inputs import Load
-from hitchid.model.parameter_draws import DRAWS
+from hitchid.logs import DIRECTIONS
+from hitchid.model import PARAMETER_DRAWS, Hitch, Load
 
 CAPPED = 0.99  # of the largest bandwidth that is searched; the search ends within a thousandth of it
 
@@ -54,7 +52,12 @@ class Limitation:
 
 @double_precision
 def limitation(
-    model: Hitch, direction: str | None = None, *, load: Load | None = None, draws: int = DRAWS, seed: int = 0
+    model: Hitch,
+    direction: str | None = None,
+    *,
+    load: Load | None = None,
+    draws: int = PARAMETER_DRAWS,
+    seed: int = 0,
 ) -> Limitation:
     """Return what limits the controller in the direction where the parameters' spread costs Ms the most.
 

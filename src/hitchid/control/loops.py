@@ -17,11 +17,9 @@ from hitchid.control.axis import Axis
 from hitchid.control.controller import Gains
 from hitchid.control.prediction import SPEED_EXPONENT
 from hitchid.errors import InputError
-from hitchid.logs.record import LOWERING
-from hitchid.model import Channel, Hitch
-from hitchid.model.parameter_draws import draws_of
-from hitchid.structures import SmallSignal, small_signal_at, small_signals
-from hitchid.structures.discretisation import discretise_delayed
+from hitchid.logs import LOWERING
+from hitchid.model import Channel, Hitch, draws_of
+from hitchid.structures import SmallSignal, discretise_delayed, small_signal_at, small_signals
 
 # Frequency response of a hitch under its controller, open at the measurement: the loop of the margins.
 

@@ -18,13 +18,10 @@ from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
 from hitchid.bench.excitation import prbs, precompensated
 from hitchid.errors import InputError
-from hitchid.logs import write_table
-from hitchid.logs.record import COMMAND
-from hitchid.logs.signal_map import command_columns
-from hitchid.model import Channel, Hitch
-from hitchid.model.estimates import Information
+from hitchid.logs import COMMAND, command_columns, write_table
+from hitchid.model import Channel, Hitch, Information
 from hitchid.structures import Batch, PhysicalModel, padded_length
-from hitchid.uncertainty.influence import (
+from hitchid.uncertainty import (
     profile_out_gain,
     standard_errors,
     standard_errors_with,

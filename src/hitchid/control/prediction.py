@@ -16,10 +16,7 @@ from hitchid.control.axis import Axis, AxisState, buffer_of
 from hitchid.control.closed_loop import in_chunks
 from hitchid.control.controller import ControllerState, HitchController
 from hitchid.errors import InputError
-from hitchid.model import Channel, Hitch
-from hitchid.model.inputs import Load, channel_load, load_row
-from hitchid.model.load_filter import LoadFilter
-from hitchid.model.parameter_draws import draws_of
+from hitchid.model import Channel, Hitch, Load, LoadFilter, channel_load, draws_of, load_row
 
 MOVING_SHARE = 0.03  # of the largest speed: slowest motion during which transients arise; chosen
 # Of the speed, by that of the load: the flow of an orifice goes with the root of the pressure (Merritt 1967,

@@ -17,9 +17,8 @@ from hitchid.control.loops import (
     Margins,
 )
 from hitchid.control.tuning import OpenLoop, TrialRun, Tuning
-from hitchid.plots.style import COLOURS, FAINT, INK, PAGE_IN, legend_above, styled
-from hitchid.report import numbers
-from hitchid.report.document import Document, Finding, Picture, Pictures, Rating, ReportSection, Table, Text
+from hitchid.plots import COLOURS, FAINT, INK, PAGE_IN, legend_above, styled
+from hitchid.report import Document, Finding, Picture, Pictures, Rating, ReportSection, Table, Text, numbers
 
 # Figures of a tuned controller: its open loop with what the tests leave open, and steps on drawn models.
 

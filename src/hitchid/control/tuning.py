@@ -32,10 +32,8 @@ from hitchid.control.loops import (
 )
 from hitchid.control.prediction import drawn_hitches, loads_of_channels, run_on_model
 from hitchid.errors import InputError
-from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT
-from hitchid.model import Hitch
-from hitchid.model.inputs import Load
-from hitchid.model.parameter_draws import DRAWS
+from hitchid.logs import COMMAND, DIRECTIONS, DISPLACEMENT
+from hitchid.model import PARAMETER_DRAWS, Hitch, Load
 
 LOWEST_RAD_S, HIGHEST_RAD_S = 0.05, 30.0  # bandwidths searched; below, a loop takes a minute to settle
 BISECTIONS = 12  # of the bandwidth: its resolution is two thousandths
@@ -120,7 +118,7 @@ def tune(
     model: Hitch,
     *,
     load: Load | None = None,
-    draws: int = DRAWS,
+    draws: int = PARAMETER_DRAWS,
     seed: int = 0,
     progress: ProgressCallback = silent,
 ) -> Tuning:

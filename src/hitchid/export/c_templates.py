@@ -13,7 +13,7 @@ from hitchid._support.inert import comment, html_text
 from hitchid._support.jax_setup import installed_versions
 from hitchid.export.constants import ChannelConstants, ModelConstants
 from hitchid.export.error_constants import COVERAGE, Range
-from hitchid.logs.record import COMMAND
+from hitchid.logs import COMMAND
 
 Precision = Literal["mixed", "double", "single"]
 LAYOUT = 1  # version of the saved state

@@ -19,21 +19,34 @@ from hitchid.export.error_constants import (
     rows,
     speed_compensator_of,
 )
-from hitchid.logs.record import DIRECTIONS
-from hitchid.model import Bands, Channel, Hitch, TravelLimits
-from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
-from hitchid.model.inputs import covariates_of, mean_load
-from hitchid.model.load_filter import JUMP, TINY
-from hitchid.networks.speed_compensator import AUTHORITY
-from hitchid.structures import DiscretePhysicalModel, StaticNonlinearity
-from hitchid.structures.discretisation import STROKE_NODES, STROKE_RANGE, StrokeModel
-from hitchid.structures.linear_structures import (
+from hitchid.logs import DIRECTIONS
+from hitchid.model import (
+    LOAD_JUMP,
+    LOAD_TINY,
+    MAX_MAGNITUDE,
+    Bands,
+    Channel,
+    Hitch,
+    HitchDynamics,
+    TravelLimits,
+    covariates_of,
+    mean_load,
+)
+from hitchid.networks import SPEED_AUTHORITY
+from hitchid.structures import (
+    STROKE_NODES,
+    STROKE_RANGE,
+    CascadedTanks,
+    DiscretePhysicalModel,
     FirstOrderLag,
+    InertiaWithFriction,
     Integrator,
     IntegratorFirstOrder,
     IntegratorSecondOrder,
+    NonlinearStructure,
+    StaticNonlinearity,
+    StrokeModel,
 )
-from hitchid.structures.nonlinear_structures import CascadedTanks, InertiaWithFriction, NonlinearStructure
 
 # Numbers of a direction's physical model, as plain Python numbers.
 
@@ -243,9 +256,9 @@ class ModelConstants:
     digest: str
 
     max_magnitude: float = MAX_MAGNITUDE
-    jump: float = JUMP
-    tiny: float = float(TINY)
-    authority: float = AUTHORITY
+    jump: float = LOAD_JUMP
+    tiny: float = float(LOAD_TINY)
+    authority: float = SPEED_AUTHORITY
     stroke_range: float = STROKE_RANGE
 
     @property

@@ -16,9 +16,9 @@ from hitchid.errors import InputError
 from hitchid.export.c_templates import CTemplates, Field, Precision, Typed, c_templates, valve_fields
 from hitchid.export.constants import ModelConstants, channel_constants
 from hitchid.export.verification import Compiler, ParityError, run_replay
-from hitchid.logs.record import DIRECTIONS
+from hitchid.logs import DIRECTIONS
 from hitchid.model import Channel, Hitch
-from hitchid.networks.operating_range import OperatingRange
+from hitchid.networks import OperatingRange
 from hitchid.structures import opening_command
 
 SAMPLES = 3000  # of the run that the code must repeat, 30 s; chosen: some ten targets

@@ -6,11 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from hitchid.model import Bands
-from hitchid.model.load_filter import LoadFilter
-from hitchid.networks.error_compensator import Compensator
-from hitchid.networks.operating_range import MARGIN, OperatingRange, SignalRange
-from hitchid.networks.speed_compensator import SpeedCompensator
+from hitchid.model import Bands, LoadFilter
+from hitchid.networks import RANGE_MARGIN, Compensator, OperatingRange, SignalRange, SpeedCompensator
 
 # Arrays as nested tuples, which templates write as arrays of C.
 
@@ -47,7 +44,7 @@ class Range:
         if not all(map(math.isfinite, ends)):
             return None
         width = ends[1] - ends[0]
-        return cls(ends[0], ends[1], MARGIN * width if width > 0 else 1.0, 0.5 * width)
+        return cls(ends[0], ends[1], RANGE_MARGIN * width if width > 0 else 1.0, 0.5 * width)
 
     @classmethod
     def all_of(cls, covered: OperatingRange) -> "dict[str, Range | list[Range | None] | None]":

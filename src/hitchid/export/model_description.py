@@ -10,7 +10,7 @@ from hitchid._support.inert import identifiers, xml_bytes
 from hitchid._support.jax_setup import installed_versions
 from hitchid.export.c_templates import Field, number
 from hitchid.export.constants import ModelConstants
-from hitchid.logs.record import COMMAND
+from hitchid.logs import COMMAND
 
 # Variables of an FMU: inputs, parameters and outputs of a model, with units.
 

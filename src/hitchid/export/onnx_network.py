@@ -14,8 +14,7 @@ from hitchid.errors import InputError
 from hitchid.export.c99 import MANIFEST, Export, check_name
 from hitchid.export.verification import ParityError
 from hitchid.model import Hitch
-from hitchid.networks.error_compensator import FEATURES, Compensator
-from hitchid.networks.lstm import LstmState
+from hitchid.networks import COMPENSATOR_FEATURES, Compensator, LstmState
 
 if TYPE_CHECKING:
     import onnx
@@ -70,7 +69,7 @@ def to_onnx(model: Hitch, folder: str | Path, *, name: str = "hitch", force: boo
             "target": "onnx",
             "model": model.provenance.digest,
             "versions": {"hitchid": installed_versions()["hitchid"]},
-            "features": list(FEATURES),
+            "features": list(COMPENSATOR_FEATURES),
             "window": {direction: network.window for direction, network in networks.items()},
             "step_s": model.step_s,
             "units": dict(model.units),
@@ -127,7 +126,10 @@ def _network(compensator: Compensator, name: str) -> "onnx.ModelProto":
     graph = helper.make_graph(
         nodes,
         name,
-        [helper.make_tensor_value_info("features", TensorProto.DOUBLE, [1, len(FEATURES)]), *inputs],
+        [
+            helper.make_tensor_value_info("features", TensorProto.DOUBLE, [1, len(COMPENSATOR_FEATURES)]),
+            *inputs,
+        ],
         [helper.make_tensor_value_info("innovation", TensorProto.FLOAT, [1]), *outputs],
         [numpy_helper.from_array(array, key) for key, array in constants.items()],
     )
@@ -151,7 +153,7 @@ def _verify(content: bytes, compensator: Compensator) -> dict[str, float] | None
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
     rng = np.random.default_rng(0)
     inputs = np.asarray(compensator.centre) + np.asarray(compensator.spread) * rng.standard_normal(
-        (READS, len(FEATURES))
+        (READS, len(COMPENSATOR_FEATURES))
     )
     hidden: LstmState = compensator.network.zero_state(())
     size = compensator.network.cell.hidden_size

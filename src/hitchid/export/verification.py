@@ -20,9 +20,8 @@ from jaxtyping import Float, Int
 from hitchid._support.inert import printable
 from hitchid.errors import HitchError, InputError
 from hitchid.export.c_templates import Precision
-from hitchid.logs.record import DIRECTIONS
-from hitchid.model import Hitch
-from hitchid.model.inputs import covariates_of, mean_load
+from hitchid.logs import DIRECTIONS
+from hitchid.model import Hitch, covariates_of, mean_load
 
 # Runs of a model that generated code must repeat: random commands, changes of direction, gaps.
 

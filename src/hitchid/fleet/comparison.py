@@ -35,7 +35,7 @@ from hitchid.fleet.parameters import (
 )
 from hitchid.fleet.populations import Hierarchy, Population, hierarchies_of, populations_of, selected
 from hitchid.fleet.row import FAILED, Row
-from hitchid.logs.record import DIRECTIONS
+from hitchid.logs import DIRECTIONS
 
 # Tables of a comparison of machines as data: one line for each machine and parameter.
 

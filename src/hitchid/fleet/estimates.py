@@ -11,9 +11,8 @@ from scipy.stats import norm
 
 from hitchid.fleet.row import DirectionRow
 from hitchid.identification import Identification
-from hitchid.logs.campaign import Campaign
-from hitchid.model import Estimate, Information, Quantity
-from hitchid.model.estimates import NOT_ASSESSED
+from hitchid.logs import Campaign
+from hitchid.model import NOT_ASSESSED, Estimate, Information, Quantity
 
 HALF_WIDTH = float(norm.ppf(0.975))  # of a 95 % interval, in standard errors
 

@@ -12,17 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from hitchid._support.inert import printable
 from hitchid.fleet.comparison import FleetComparison
 from hitchid.fleet.parameters import DEAD_ZONE, GAIN, FleetParameter
-from hitchid.plots.style import (
-    COLOURS,
-    COMPARED,
-    FAINT,
-    GRID,
-    INK,
-    PAGE_IN,
-    legend_above,
-    logarithmic,
-    styled,
-)
+from hitchid.plots import COLOURS, COMPARED, FAINT, GRID, INK, PAGE_IN, legend_above, logarithmic, styled
 
 # Machines of a fleet beside each other: intervals, ellipses of errors, verdicts, speed over command.
 

@@ -7,8 +7,7 @@ import numpy as np
 
 from hitchid.fleet.comparison import FleetComparison
 from hitchid.fleet.parameters import DEAD_ZONE, DELAY, GAIN, LOAD_SCATTER, FleetParameter
-from hitchid.report import numbers
-from hitchid.report.document import Finding, Rating
+from hitchid.report import Finding, Rating, numbers
 
 MOST_SENTENCES = 10  # machines with a sentence of their own, of each kind; chosen
 LEAST_Q = 1e-3  # smaller ones are given as below it; chosen

@@ -20,7 +20,7 @@ from hitchid.fleet.run import LOCAL, FleetProgress, FleetResult, Runner, run_fle
 from hitchid.fleet.store import Store
 from hitchid.fleet.task import Job
 from hitchid.live.parameters import changed_benchmark
-from hitchid.logs.record import Record
+from hitchid.logs import Record
 from hitchid.model import Channel
 
 if TYPE_CHECKING:
@@ -106,9 +106,9 @@ class ValidationJob(Job[ValidationRow]):
 
     def work(self, row: ValidationRow, folder: Path) -> tuple[ValidationRow, int]:
         """Return the row with faults and drift of the logs in a folder."""
-        from hitchid.logs import read
-        from hitchid.logs.audit import Severity, audit
-        from hitchid.logs.from_rest import from_rest
+        from hitchid._support.records import Severity
+        from hitchid.logs import from_rest, read
+        from hitchid.logs.audit import audit
         from hitchid.model import load
 
         identified = self.identified.get(row.machine)

@@ -15,7 +15,7 @@ from scipy.special import digamma, polygamma
 from hitchid.errors import InputError
 from hitchid.fleet.row import DirectionRow, Row
 from hitchid.fleet.store import Store
-from hitchid.logs.record import COMMAND, DISPLACEMENT
+from hitchid.logs import COMMAND, DISPLACEMENT
 
 # Metadata of the machines of a fleet: a CSV file with a line for each machine.
 

@@ -20,8 +20,7 @@ from hitchid.fleet.findings import (
 from hitchid.fleet.outliers import FleetTrends
 from hitchid.fleet.parameters import FleetParameter, listed
 from hitchid.fleet.row import Row
-from hitchid.report import numbers
-from hitchid.report.document import Block, Document, Picture, Pictures, ReportSection, Table, Text, sentence
+from hitchid.report import Block, Document, Picture, Pictures, ReportSection, Table, Text, numbers, sentence
 
 MOST_LINES = 100  # of a table of machines; chosen: the data tables have all
 MEGABYTE = 1e6  # bytes

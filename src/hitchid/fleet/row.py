@@ -134,7 +134,7 @@ class TaskRow:
         Raises:
             InputError: it is not a row.
         """
-        from hitchid.logs.signal_map import describe
+        from hitchid.logs import describe_settings
 
         try:
             if len(content) > MAX_BYTES:
@@ -142,13 +142,13 @@ class TaskRow:
             row = _adapter(cls).validate_json(content)
             row.check()
         except ValueError as error:
-            reason = describe(error) if isinstance(error, ValidationError) else error
+            reason = describe_settings(error) if isinstance(error, ValidationError) else error
             raise InputError(f"{name}: is not a row of a fleet: {reason}") from error
         return row
 
     def check(self) -> None:
         """Check what the types do not: raises ValueError for other directions, or a date that is none."""
-        from hitchid.logs.record import DIRECTIONS
+        from hitchid.logs import DIRECTIONS
 
         for direction in self.directions:
             if direction not in DIRECTIONS:
@@ -178,7 +178,7 @@ class Row(TaskRow):
 
     def check(self) -> None:
         """Check the units, too; see `TaskRow.check`."""
-        from hitchid.logs.units import UNITS
+        from hitchid.logs import UNITS
 
         super().check()
         for role, unit in self.units.items():

@@ -265,7 +265,7 @@ def machines_of(store: Store) -> tuple[Machine, ...]:
         InputError: there is none, or a folder with logs has a name that a machine cannot have.
         StoreError: the store cannot be listed.
     """
-    from hitchid.logs.formats import known_format
+    from hitchid.logs import known_format
 
     folders: dict[str, list[StoredFile]] = {name: [] for name in store.local_folders()}
     hidden_logs: set[str] = set()

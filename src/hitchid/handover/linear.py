@@ -19,7 +19,7 @@ from hitchid.handover.responses import Banded, FrequencyResponse, checked_freque
 from hitchid.handover.speed import SteadySpeed, linear_channel, load_of_channel, speed_with_band
 from hitchid.logs.record import COMMAND, DISPLACEMENT
 from hitchid.model.inputs import Load, Numbers
-from hitchid.model.parameter_draws import DRAWS, draws_of
+from hitchid.model.parameter_draws import PARAMETER_DRAWS, draws_of
 from hitchid.structures import (
     LinearModel,
     SmallSignal,
@@ -303,7 +303,7 @@ class Handover:
         command: float | None = None,
         displacement: float | None = None,
         load: Load | None = None,
-        draws: int = DRAWS,
+        draws: int = PARAMETER_DRAWS,
         seed: int = 0,
     ) -> Linearisation:
         """Return the linear model of a direction about an operating point, with draws of its parameters.

@@ -19,7 +19,7 @@ from hitchid._support.processes import module_command, module_environment
 from hitchid.errors import HitchError, InputError
 from hitchid.hmi import project
 from hitchid.hmi.plans import Name
-from hitchid.logs.signal_map import Strict, describe
+from hitchid.logs import StrictSettings, describe_settings
 
 BRIEF = "brief.toml"  # settings of a brief identification, written into the project
 LINES = 200  # of standard error that are kept
@@ -34,14 +34,14 @@ MOST_JOBS = 50  # that are remembered
 INSPECT_FOUND_PROBLEMS = 1  # exit code of `hitchid inspect`, whose result is complete nevertheless
 
 
-class Inspect(Strict):
+class Inspect(StrictSettings):
     """Audit of the logs of a campaign."""
 
     kind: Literal["inspect"]
     logs: str
 
 
-class Identify(Strict):
+class Identify(StrictSettings):
     """A model from the logs of a campaign."""
 
     kind: Literal["identify"]
@@ -50,7 +50,7 @@ class Identify(Strict):
     brief: bool = False
 
 
-class Validate(Strict):
+class Validate(StrictSettings):
     """A report of a model on tests that were not used for it."""
 
     kind: Literal["validate"]
@@ -59,7 +59,7 @@ class Validate(Strict):
     name: Name
 
 
-class Design(Strict):
+class Design(StrictSettings):
     """The test that helps a model most."""
 
     kind: Literal["design"]
@@ -68,7 +68,7 @@ class Design(Strict):
     name: Name
 
 
-class Tune(Strict):
+class Tune(StrictSettings):
     """A position controller for a model."""
 
     kind: Literal["tune"]
@@ -89,7 +89,7 @@ def read_request(content: object, root: Path) -> tuple[Request, list[str], str]:
     try:
         request = _REQUEST.validate_python(content)
     except ValidationError as error:
-        raise InputError(f"job: {describe(error)}") from error
+        raise InputError(f"job: {describe_settings(error)}") from error
     for name in ("logs", "model"):
         if hasattr(request, name):
             project.inside(root, getattr(request, name))

@@ -15,8 +15,7 @@ from hitchid.hmi.model_beside import BLOCK, NO_ADAPTATION, ModelAdaptation
 from hitchid.hmi.recorder import packed_rows
 from hitchid.hmi.source import is_same_sampling_time
 from hitchid.live import Monitor
-from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT
-from hitchid.logs.units import conversion_factor
+from hitchid.logs import COMMAND, DIRECTIONS, DISPLACEMENT, conversion_factor
 from hitchid.model import Hitch, load
 
 FREE_RUN, AHEAD = 1, 2  # kinds of messages to the page

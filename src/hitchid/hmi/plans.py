@@ -10,15 +10,21 @@ from pydantic import Field, TypeAdapter, ValidationError, field_validator, model
 from hitchid.bench import Rig, rig_limits
 from hitchid.errors import InputError
 from hitchid.hmi.project import NAME_PATTERN
-from hitchid.logs.record import COMMAND, DIRECTIONS
-from hitchid.logs.signal_map import DEFAULT_SIGNALS, Strict, describe, parse_settings
+from hitchid.logs import (
+    COMMAND,
+    DEFAULT_SIGNALS,
+    DIRECTIONS,
+    StrictSettings,
+    describe_settings,
+    parse_settings,
+)
 
 # Limits of what the bench loop may command and where it stops.
 
 MARGIN = 0.02  # of the travel, beyond its ends before the loop stops, and left free by tests; chosen
 
 
-class LimitsFile(Strict):
+class LimitsFile(StrictSettings):
     """The limits file of a machine: largest commands, lowest and highest displacement, longest silence."""
 
     lifting_command: float = Field(gt=0, allow_inf_nan=False)
@@ -102,7 +108,7 @@ MOST_BYTES = 50_000_000  # of a file of commands: a million lines of 50 characte
 Name = Annotated[str, Field(pattern=f"^{NAME_PATTERN}$")]
 
 
-class CampaignPlan(Strict):
+class CampaignPlan(StrictSettings):
     """Ramps that find the dead zones, then PRBS tests of each direction, then cycles of both.
 
     Attributes:
@@ -152,7 +158,7 @@ class CampaignPlan(Strict):
         return ramps + tests + self.cycles * self.cycle_s + self.total * POSITIONING_S
 
 
-class FilePlan(Strict):
+class FilePlan(StrictSettings):
     """Commands from a file, from the present displacement: `time_s, lifting_command, lowering_command`.
 
     Attributes:
@@ -169,7 +175,7 @@ class FilePlan(Strict):
     total: Literal[1] = 1
 
 
-class DrivePlan(Strict):
+class DrivePlan(StrictSettings):
     """Closed loop with a tuned controller; its target is set while it runs.
 
     Attributes:
@@ -197,7 +203,7 @@ def read_plan(content: object) -> Plan:
     try:
         return _PLAN.validate_python(content)
     except ValidationError as error:
-        raise InputError(f"plan: {describe(error)}") from error
+        raise InputError(f"plan: {describe_settings(error)}") from error
 
 
 def read_commands(path: Path, step_s: float) -> np.ndarray:

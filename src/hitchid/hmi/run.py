@@ -17,7 +17,7 @@ from hitchid.hmi.plans import CampaignPlan, Limits
 from hitchid.hmi.program import Program, Step, Target, apply, check_clock_and_units, drive, move
 from hitchid.hmi.recorder import Recorder
 from hitchid.hmi.source import CLOSED, LIFTING_COMMAND, REQUIRED, Reading, Source
-from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT, LIFTING, RAMP, Record
+from hitchid.logs import COMMAND, DIRECTIONS, DISPLACEMENT, LIFTING, RAMP, Record
 
 # Program of a campaign on a machine: ramps, then tests within what the ramps have shown.
 

@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from hitchid.logs.signal_map import DEFAULT_SIGNALS, Column
+from hitchid.logs import DEFAULT_SIGNALS, SignalColumn
 
 LIFTING_COMMAND, LOWERING_COMMAND, DISPLACEMENT = "lifting_command", "lowering_command", "displacement"
 REQUIRED = (LIFTING_COMMAND, LOWERING_COMMAND, DISPLACEMENT)  # signals that every source has
@@ -34,7 +34,7 @@ class Signal:
     def column(self) -> str:
         """Column of a log: the default of its role where it has that unit, else name and unit."""
         default = getattr(DEFAULT_SIGNALS, self.name, None)
-        if isinstance(default, Column) and default.unit == self.unit:
+        if isinstance(default, SignalColumn) and default.unit == self.unit:
             return default.column
         return f"{self.name}_{self.unit}"
 

@@ -6,6 +6,11 @@ from hitchid.estimation import Search as Search
 from hitchid.estimation import Whale as Whale
 from hitchid.estimation.training import AdamConfig as AdamConfig
 from hitchid.identification.config import RivalsConfig as RivalsConfig
+from hitchid.identification.dead_zone import from_ramps as from_ramps
+from hitchid.identification.identify import DEFAULT_STRUCTURES as DEFAULT_STRUCTURES
+from hitchid.identification.identify import PAPER_SPECS as PAPER_SPECS
+from hitchid.identification.identify import TRAINING as TRAINING
+from hitchid.identification.identify import WHALE as WHALE
 from hitchid.identification.identify import identify as identify
 from hitchid.identification.identify import identify_many as identify_many
 from hitchid.identification.identify import train_rivals as train_rivals

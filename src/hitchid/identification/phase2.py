@@ -22,7 +22,7 @@ from hitchid.identification.preparation import ChannelData
 from hitchid.identification.speed_training import SpeedCompensatorConfig
 from hitchid.model import Channel
 from hitchid.model.load_filter import LoadFilter
-from hitchid.networks.error_compensator import FEATURES, Compensator, Sample, measured_features
+from hitchid.networks.error_compensator import COMPENSATOR_FEATURES, Compensator, Sample, measured_features
 from hitchid.networks.lstm import Lstm
 from hitchid.structures import Batch
 
@@ -162,7 +162,7 @@ def untrained_compensator(
     spread = rows.std(axis=0)
     varies = spread > 1e-12 * np.maximum(1.0, np.abs(rows).max(axis=0))
     compensator = Compensator(
-        network=Lstm.init(key, len(FEATURES), settings.hidden),
+        network=Lstm.init(key, len(COMPENSATOR_FEATURES), settings.hidden),
         centre=jnp.asarray(rows.mean(axis=0)),
         spread=jnp.asarray(np.where(varies, spread, 1.0)),
         error_step=jnp.asarray(max(float(innovations[:, 1:][mask[:, 1:]].std()), np.finfo(np.float32).tiny)),

@@ -29,7 +29,7 @@ from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.selection import AutoStructure
 from hitchid.identification.speed_training import SpeedCompensatorConfig
 from hitchid.logs.record import DIRECTIONS
-from hitchid.logs.signal_map import Strict, describe, parse_settings
+from hitchid.logs.signal_map import StrictSettings, describe_settings, parse_settings
 from hitchid.model.schema import KeptSettings
 from hitchid.structures import CovariateEffects, ModelSpec, structure_named
 
@@ -48,7 +48,7 @@ class Settings(TypedDict, total=False):
     seed: int
 
 
-class ChannelSection(Strict):
+class ChannelSection(StrictSettings):
     """`[lifting]` and `[lowering]`."""
 
     structure: str = AUTOMATIC
@@ -91,7 +91,7 @@ class ChannelSection(Strict):
         )
 
 
-class SearchSection(Strict):
+class SearchSection(StrictSettings):
     """`[search]`."""
 
     method: Literal["whale", "differential-evolution", "multi-start"] = "whale"
@@ -120,7 +120,7 @@ class SearchSection(Strict):
         )
 
 
-class TrainingSection(Strict):
+class TrainingSection(StrictSettings):
     """`[training]`."""
 
     compensator: bool = True
@@ -142,7 +142,7 @@ class TrainingSection(Strict):
         return CompensatorConfig(self.hidden, self.window, adam, free_run)
 
 
-class RivalsSection(Strict):
+class RivalsSection(StrictSettings):
     """`[rivals]`."""
 
     quick: bool = True
@@ -150,7 +150,7 @@ class RivalsSection(Strict):
     searches: bool = True
 
 
-class IdentifyFile(Strict):
+class IdentifyFile(StrictSettings):
     """The whole settings file."""
 
     seed: int = Field(default=0, ge=0, le=LARGEST_SEED)
@@ -216,7 +216,7 @@ def settings_of_model(described: Mapping[str, Any]) -> Settings:
         SettingsError: they cannot be understood.
     """
 
-    def by_key(section: type[Strict], values: Mapping[str, Any]) -> dict[str, Any]:
+    def by_key(section: type[StrictSettings], values: Mapping[str, Any]) -> dict[str, Any]:
         if values.get("automatic"):
             return {"load": values.get("load", ())}
         return {key: value for key, value in values.items() if key in section.model_fields}
@@ -232,7 +232,7 @@ def settings_of_model(described: Mapping[str, Any]) -> Settings:
         content["training"] = by_key(TrainingSection, kept.training)
         return IdentifyFile.model_validate(content).settings()
     except ValidationError as error:
-        raise SettingsError(f"the settings of the model: {describe(error)}") from error
+        raise SettingsError(f"the settings of the model: {describe_settings(error)}") from error
     except InputError as error:
         raise SettingsError(f"the settings of the model: {error}") from error
 

@@ -22,8 +22,7 @@ from hitchid.live.events import FAULT, REFUSED, Event, last_sample
 from hitchid.live.parameters import Changes, changed_model, numbers_of_models
 from hitchid.live.settings import AdaptationSettings
 from hitchid.live.strokes import Stroke, StrokeCutter
-from hitchid.model import Hitch, load, save
-from hitchid.model.inputs import Load
+from hitchid.model import Hitch, Load, load, save
 
 # Messages to and from the process that learns from strokes: a line of JSON, and numbers as float64.
 

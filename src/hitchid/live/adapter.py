@@ -19,9 +19,8 @@ from hitchid.live.parameters import Changes, changed_model, check_adaptable
 from hitchid.live.settings import AdaptationSettings
 from hitchid.live.stroke_errors import StrokeErrors
 from hitchid.live.strokes import Stroke, StrokeCutter
-from hitchid.logs.record import COMMAND, DIRECTIONS, Record
-from hitchid.model import Hitch
-from hitchid.model.inputs import Load, channel_load, load_row
+from hitchid.logs import COMMAND, DIRECTIONS, Record
+from hitchid.model import Hitch, Load, channel_load, load_row
 
 UNKNOWN = (0.05, 0.02)  # relative gain, dead zone as share of the command, without estimates; chosen
 

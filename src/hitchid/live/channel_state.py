@@ -14,8 +14,7 @@ from hitchid.live.parameters import DEAD_ZONE, GAIN, Changes
 from hitchid.live.settings import ChangeDetector
 from hitchid.live.stroke_errors import StrokeErrors, StrokeFit
 from hitchid.live.strokes import Stroke
-from hitchid.logs.kinds import ACTIVE_FRACTION, effective_command
-from hitchid.logs.record import DIRECTIONS
+from hitchid.logs import ACTIVE_FRACTION, DIRECTIONS, effective_command
 from hitchid.model import Channel
 
 # Levels of the command of strokes: a plant that changed and one that lacks oil differ only at several.

@@ -14,11 +14,9 @@ from hitchid.live.parameters import DEAD_ZONE, LAG, NAMES, Changes, has_lag
 from hitchid.live.settings import AdaptationSettings
 from hitchid.live.stroke_errors import StrokeRuns, range_of_tests
 from hitchid.live.strokes import LONGEST_S, SETTLE_S, Stroke
-from hitchid.logs.kinds import effective_command
-from hitchid.logs.record import DIRECTIONS
-from hitchid.logs.units import conversion_factor
+from hitchid.logs import DIRECTIONS, conversion_factor, effective_command
 from hitchid.model import Channel, Hitch
-from hitchid.structures.batch import REST_SAMPLES
+from hitchid.structures import REST_SAMPLES
 
 # How far and how fast the parameters of a channel may change.
 

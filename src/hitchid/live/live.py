@@ -13,9 +13,8 @@ from hitchid._support.records import short_repr
 from hitchid.live.adaptation_process import OnlineAdaptation
 from hitchid.live.events import REPORTED
 from hitchid.live.parameters import AdjustableHitch
-from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT
-from hitchid.model import Hitch, Packed
-from hitchid.model.inputs import Load
+from hitchid.logs import COMMAND, DIRECTIONS, DISPLACEMENT
+from hitchid.model import Hitch, Load, Packed
 
 # Flags for inputs outside the ranges of the identification tests, sample by sample.
 

@@ -14,12 +14,16 @@ from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
 from hitchid.errors import InputError
 from hitchid.live.parameters import adjusted_state
-from hitchid.model import Hitch
-from hitchid.model.bands import bands_by_channel
-from hitchid.model.dynamics import HitchDynamics
-from hitchid.model.free_run import ensemble_half_width, ensemble_members
-from hitchid.model.inputs import Load, load_row
-from hitchid.model.state import HitchState
+from hitchid.model import (
+    Hitch,
+    HitchDynamics,
+    HitchState,
+    Load,
+    bands_by_channel,
+    ensemble_half_width,
+    ensemble_members,
+    load_row,
+)
 
 
 @short_repr

@@ -16,13 +16,18 @@ from hitchid._support.bounded import LogFactor, Number
 from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
 from hitchid.errors import InputError
-from hitchid.model import Channel
-from hitchid.model.dynamics import HitchDynamics
-from hitchid.model.estimates import Uncertainty
-from hitchid.model.hitch import Hitch
-from hitchid.model.inputs import channel_load
-from hitchid.model.state import HitchState
-from hitchid.model.step import Packed, Packing, join_inputs, with_numbers
+from hitchid.model import (
+    Channel,
+    Hitch,
+    HitchDynamics,
+    HitchState,
+    Packed,
+    Packing,
+    Uncertainty,
+    channel_load,
+    join_inputs,
+    with_numbers,
+)
 from hitchid.structures import NONLINEARITY_PARAMETERS, PhysicalModel
 
 # A hitch in a loop whose gains and dead zones change while it runs, without a new compilation.

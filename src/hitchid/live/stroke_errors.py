@@ -15,10 +15,8 @@ from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
 from hitchid.live.parameters import DEAD_ZONE, Changes, changed_benchmark
 from hitchid.live.strokes import LONGEST_S, Stroke
-from hitchid.logs.record import DIRECTIONS
-from hitchid.model import Channel
-from hitchid.model.bands import Bands
-from hitchid.model.free_run import perturbed_channel
+from hitchid.logs import DIRECTIONS
+from hitchid.model import Bands, Channel, perturbed_channel
 from hitchid.structures import Batch
 
 PIECES = 10  # of a stroke, whose errors are taken as independent of each other; chosen

@@ -7,10 +7,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hitchid._support.records import short_repr
-from hitchid.logs.kinds import ACTIVE_FRACTION
-from hitchid.logs.record import DIRECTIONS
+from hitchid.logs import ACTIVE_FRACTION, DIRECTIONS
 from hitchid.model import Hitch
-from hitchid.structures.batch import REST_SAMPLES
+from hitchid.structures import REST_SAMPLES
 
 ON_FRACTION = 0.8  # of the identified dead zone; a command beyond it may move the piston; chosen
 SETTLE_S = 0.3  # s after the command ends that still belong to a stroke: several lags of a valve; chosen

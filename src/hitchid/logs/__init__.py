@@ -1,16 +1,21 @@
 """Records on a uniform clock, campaigns of tests, units, kinds of test, segmentation of mixed logs."""
 
+from hitchid.logs.campaign import Campaign as Campaign
 from hitchid.logs.content import ChannelSelection as ChannelSelection
 from hitchid.logs.content import Content as Content
 from hitchid.logs.content import LogChannel as LogChannel
 from hitchid.logs.content import match_channels as match_channels
 from hitchid.logs.formats import Format as Format
 from hitchid.logs.formats import format_of as format_of
+from hitchid.logs.formats import known_format as known_format
 from hitchid.logs.formats import write_table as write_table
+from hitchid.logs.from_rest import from_rest as from_rest
 from hitchid.logs.inspect import InspectedRecord as InspectedRecord
 from hitchid.logs.inspect import Inspection as Inspection
 from hitchid.logs.inspect import inspect as inspect
 from hitchid.logs.inspect import inspect_campaign as inspect_campaign
+from hitchid.logs.kinds import ACTIVE_FRACTION as ACTIVE_FRACTION
+from hitchid.logs.kinds import effective_command as effective_command
 from hitchid.logs.propose import propose as propose
 from hitchid.logs.reader_process import ReaderProcess as ReaderProcess
 from hitchid.logs.reading import assemble as assemble
@@ -21,3 +26,19 @@ from hitchid.logs.reading import read_log as read_log
 from hitchid.logs.reading import read_logs as read_logs
 from hitchid.logs.reading import read_table as read_table
 from hitchid.logs.reading import settings_of as settings_of
+from hitchid.logs.record import COMMAND as COMMAND
+from hitchid.logs.record import DIRECTIONS as DIRECTIONS
+from hitchid.logs.record import DISPLACEMENT as DISPLACEMENT
+from hitchid.logs.record import LIFTING as LIFTING
+from hitchid.logs.record import LOWERING as LOWERING
+from hitchid.logs.record import RAMP as RAMP
+from hitchid.logs.record import Record as Record
+from hitchid.logs.signal_map import DEFAULT_SIGNALS as DEFAULT_SIGNALS
+from hitchid.logs.signal_map import SignalColumn as SignalColumn
+from hitchid.logs.signal_map import StrictSettings as StrictSettings
+from hitchid.logs.signal_map import command_columns as command_columns
+from hitchid.logs.signal_map import describe_settings as describe_settings
+from hitchid.logs.signal_map import parse_settings as parse_settings
+from hitchid.logs.signal_map import parse_toml as parse_toml
+from hitchid.logs.units import UNITS as UNITS
+from hitchid.logs.units import conversion_factor as conversion_factor

@@ -13,7 +13,7 @@ from hitchid.logs.content import Content, LogChannel
 from hitchid.logs.kinds import detect_kind, full_scales
 from hitchid.logs.log_table import records_of, table_of
 from hitchid.logs.record import COMMAND, DISPLACEMENT, KINDS, LIFTING, LOWERING, Record
-from hitchid.logs.signal_map import DEFAULT_SIGNALS, Column, SignalMap, signal_map_of
+from hitchid.logs.signal_map import DEFAULT_SIGNALS, SignalColumn, SignalMap, signal_map_of
 from hitchid.logs.unification import LeftOut, refuse, split_usable
 from hitchid.logs.units import UNITS, parse_unit, unit_of_column
 
@@ -164,7 +164,9 @@ def _map_by_name(name: str, columns: Iterable[str]) -> SignalMap:
     return signal_map_of(column_of)
 
 
-def _time(name: str, frame: Frame, columns: list[str], time: Column, units: Mapping[str, str]) -> LogChannel:
+def _time(
+    name: str, frame: Frame, columns: list[str], time: SignalColumn, units: Mapping[str, str]
+) -> LogChannel:
     """Return the time: its column, else the index of a table of pandas."""
     if time.column in columns:
         return _column(frame[time.column], name, time.column, units.get(time.column))

@@ -29,7 +29,7 @@ from hitchid.logs.resampling import (
     uniform,
     unique_stamp_rows,
 )
-from hitchid.logs.signal_map import DEFAULT_SIGNALS, DIMENSIONS, Column, SignalMap
+from hitchid.logs.signal_map import DEFAULT_SIGNALS, DIMENSIONS, SignalColumn, SignalMap
 from hitchid.logs.units import UNITS, parse_unit, unit_of_column
 
 TIME = "time"  # role of the time among the signals of a log
@@ -151,7 +151,7 @@ def _line_of_rows(content: Content, rows: np.ndarray) -> Callable[[int], int | N
     return lambda row: content.line_of(int(rows[row]))
 
 
-def _columns_by_role(signals: SignalMap, content: Content) -> dict[str, Column]:
+def _columns_by_role(signals: SignalMap, content: Content) -> dict[str, SignalColumn]:
     """Return role to column, the time only where the log has such a channel."""
     time = signals.time if signals.time.column in content.channels else None
     if time is None and signals.time.column != DEFAULT_SIGNALS.time.column:
@@ -172,7 +172,7 @@ def _columns_by_role(signals: SignalMap, content: Content) -> dict[str, Column]:
     return {role: column for role, column in columns.items() if column is not None}
 
 
-def _convert_unit(content: Content, role: str, column: Column) -> tuple[LogChannel, list[str]]:
+def _convert_unit(content: Content, role: str, column: SignalColumn) -> tuple[LogChannel, list[str]]:
     """Return a channel as (reading − zero) · scale in the unit of the signal map, and the notices."""
     name, source = column.column, content.source
     channel = content.channels[name]

@@ -64,7 +64,7 @@ EXPECTED: Mapping[str, str] = MappingProxyType(
 """Type of a pydantic error to what was expected, with fields of its context."""
 
 
-def describe(error: ValidationError, model: type[BaseModel] | None = None) -> str:
+def describe_settings(error: ValidationError, model: type[BaseModel] | None = None) -> str:
     """Return the first error of a validation as one sentence that names the key."""
     first = error.errors(include_url=False)[0]
     kind, location = first["type"], first["loc"]
@@ -139,13 +139,13 @@ DIMENSIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """Role to the admissible dimensions of its unit; a covariate may have any."""
 
 
-class Strict(BaseModel):
+class StrictSettings(BaseModel):
     """Settings read from a file; an unknown key is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Column(Strict):
+class SignalColumn(StrictSettings):
     """A column of the log and its scaling: signal = (reading − zero) · scale.
 
     Attributes:
@@ -184,7 +184,7 @@ class Column(Strict):
         return scale
 
 
-class SignalMap(Strict):
+class SignalMap(StrictSettings):
     """Map from signals to columns of a log.
 
     Either one signed `command`, positive for lifting and negative for lowering, or `lifting_command` and
@@ -192,12 +192,12 @@ class SignalMap(Strict):
     Commands alone, for a simulation, have no displacement.
     """
 
-    time: Column = Column(column="time_s", unit="s")
-    displacement: Column | None = Column(column="displacement_mm", unit="mm")
-    command: Column | None = None
-    lifting_command: Column | None = None
-    lowering_command: Column | None = None
-    covariates: tuple[Column, ...] = ()
+    time: SignalColumn = SignalColumn(column="time_s", unit="s")
+    displacement: SignalColumn | None = SignalColumn(column="displacement_mm", unit="mm")
+    command: SignalColumn | None = None
+    lifting_command: SignalColumn | None = None
+    lowering_command: SignalColumn | None = None
+    covariates: tuple[SignalColumn, ...] = ()
 
     @field_validator("covariates", mode="before")
     @classmethod
@@ -236,12 +236,12 @@ class SignalMap(Strict):
 
 
 DEFAULT_SIGNALS = SignalMap(
-    lifting_command=Column(column="current_up_A", unit="A"),
-    lowering_command=Column(column="current_down_A", unit="A"),
+    lifting_command=SignalColumn(column="current_up_A", unit="A"),
+    lowering_command=SignalColumn(column="current_down_A", unit="A"),
 )
 
 
-def command_columns(directions: Iterable[str], units: Mapping[str, str]) -> dict[str, Column]:
+def command_columns(directions: Iterable[str], units: Mapping[str, str]) -> dict[str, SignalColumn]:
     """Return role to the column of a command in logs that this package writes.
 
     The default column where it has the unit, otherwise the role and the unit: `lifting_command_percent`.
@@ -249,23 +249,23 @@ def command_columns(directions: Iterable[str], units: Mapping[str, str]) -> dict
     columns = {}
     for role in (COMMAND[direction] for direction in directions):
         default, unit = getattr(DEFAULT_SIGNALS, role), units[role]
-        columns[role] = default if unit == default.unit else Column(column=f"{role}_{unit}", unit=unit)
+        columns[role] = default if unit == default.unit else SignalColumn(column=f"{role}_{unit}", unit=unit)
     return columns
 
 
-class Split(Strict):
+class Split(StrictSettings):
     """Held-out tests, as patterns on their names."""
 
     test: tuple[str, ...] = Field(min_length=1)
 
 
-class Can(Strict):
+class Can(StrictSettings):
     """DBC files of the CAN bus, relative to the settings file."""
 
     databases: tuple[str, ...] = ()
 
 
-class CampaignFile(Strict):
+class CampaignFile(StrictSettings):
     """Content of `campaign.toml`.
 
     Attributes:
@@ -301,7 +301,7 @@ def signal_map_of(signals: Mapping[str, object]) -> SignalMap:
     try:
         return CampaignFile.model_validate({"signals": dict(signals)}).signals
     except ValidationError as error:
-        raise SettingsError(describe(error)) from error
+        raise SettingsError(describe_settings(error)) from error
 
 
 def read_campaign_file(path: Path) -> CampaignFile:
@@ -313,7 +313,7 @@ def read_campaign_file(path: Path) -> CampaignFile:
     return parse_settings(path, CampaignFile)
 
 
-Settings = TypeVar("Settings", bound=Strict)
+Settings = TypeVar("Settings", bound=StrictSettings)
 
 
 def parse_settings(path: Path, model: type[Settings]) -> Settings:
@@ -327,7 +327,7 @@ def parse_settings(path: Path, model: type[Settings]) -> Settings:
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        raise SettingsError(f"{path}: {describe(error, model)}") from error
+        raise SettingsError(f"{path}: {describe_settings(error, model)}") from error
     except SettingsError as error:
         raise SettingsError(f"{path}: {error}") from error
 

@@ -20,7 +20,7 @@ from hitchid.model.schema import (
     PhysicalDescription,
     SpeedCompensatorSizes,
 )
-from hitchid.networks.error_compensator import FEATURES, Compensator
+from hitchid.networks.error_compensator import COMPENSATOR_FEATURES, Compensator
 from hitchid.networks.lstm import Lstm
 from hitchid.networks.operating_range import OperatingRange, SignalRange
 from hitchid.networks.speed_compensator import SIGNALS, SpeedCompensator, SpeedNetworks
@@ -147,7 +147,7 @@ def describe_channel(channel: Channel) -> dict[str, object]:
             "window": compensator.window,
             "max_horizon": compensator.max_horizon,
             "hidden": compensator.network.cell.hidden_size,
-            "features": list(FEATURES),
+            "features": list(COMPENSATOR_FEATURES),
         },
         "speed_compensator": None
         if speed is None
@@ -238,7 +238,7 @@ def _read_compensator(
     if described is None:
         return None
     check_size(tensors, described.hidden**2)
-    count = len(FEATURES)
+    count = len(COMPENSATOR_FEATURES)
     skeleton = Compensator(
         Lstm.init(jax.random.key(0), count, described.hidden),
         jnp.zeros(count),

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Float32
 from hitchid.model.channel import Channel
 from hitchid.model.inputs import channel_load
 from hitchid.model.state import HitchState, NetworkInput
-from hitchid.networks.error_compensator import FEATURES, Compensator, FeatureState, Sample
+from hitchid.networks.error_compensator import COMPENSATOR_FEATURES, Compensator, FeatureState, Sample
 from hitchid.networks.lstm import SINGLE, LstmState
 
 Tree = TypeVar("Tree")
@@ -24,7 +24,7 @@ def compute_features(
     The trust is zero without a measured displacement within the compensator's largest horizon.
     """
     since = state.samples_since_measurement
-    selected = state.feature_state, jnp.zeros(len(FEATURES), SINGLE), jnp.zeros(())
+    selected = state.feature_state, jnp.zeros(len(COMPENSATOR_FEATURES), SINGLE), jnp.zeros(())
     for number, channel in enumerate(channels):
         if channel.compensator is None:
             continue

@@ -16,8 +16,8 @@ from hitchid._support.records import short_repr
 
 OFFSET, LOAD, TRANSIENT = range(3)  # order of the filter's states
 UPPER = tuple((i, j) for i in range(3) for j in range(i, 3))  # entries of a symmetric matrix
-JUMP = 6.0  # standard deviations; chosen: normal errors are beyond it in two of 10⁹ samples
-TINY = jnp.finfo(jnp.float64).tiny  # smallest variance divided by, in the displacement's unit squared
+LOAD_JUMP = 6.0  # standard deviations; chosen: normal errors are beyond it in two of 10⁹ samples
+LOAD_TINY = jnp.finfo(jnp.float64).tiny  # smallest variance divided by, in the displacement's unit squared
 Matrix = Sequence[Sequence[Array | float]]  # 3 × 3, entries of the shape of the estimates or numbers
 Time = Float[Array, ""] | float  # s
 
@@ -129,9 +129,9 @@ class LoadFilter(eqx.Module):
         """Return the estimate with a measured error; see `correct`."""
         rows = entries.matrix
         seen = [row[OFFSET] + row[TRANSIENT] for row in rows]
-        variance = jnp.maximum(seen[OFFSET] + seen[TRANSIENT] + self.noise**2, TINY)
+        variance = jnp.maximum(seen[OFFSET] + seen[TRANSIENT] + self.noise**2, LOAD_TINY)
         expected = entries.mean[OFFSET] + entries.mean[TRANSIENT]
-        is_jump = (error - expected) ** 2 > JUMP**2 * variance
+        is_jump = (error - expected) ** 2 > LOAD_JUMP**2 * variance
         at_jump = (1.0, 0.0, 0.0)
         offset, load, transient = gain = tuple(
             jnp.where(is_jump, jump, part / variance) for jump, part in zip(at_jump, seen, strict=True)

@@ -12,12 +12,12 @@ from hitchid.structures import PhysicalModel
 if TYPE_CHECKING:
     from hitchid.model.hitch import Hitch
 
-DRAWS = 200  # parameter vectors of a band by default; chosen
+PARAMETER_DRAWS = 200  # parameter vectors of a band by default; chosen
 PROFILE_REACH = 1.5  # three standard deviations over the two of a 95 % interval
 
 
 def draws_of(
-    model: "Hitch", direction: str, seed: int, count: int = DRAWS
+    model: "Hitch", direction: str, seed: int, count: int = PARAMETER_DRAWS
 ) -> Float[np.ndarray, "s r"] | None:
     """Return parameter vectors of a direction; None where the model has no standard errors.
 

@@ -20,7 +20,7 @@ from hitchid._support.bounded import MAX_MAGNITUDE, Number, Positive, Size
 from hitchid.errors import InputError, ModelFolderError
 from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT
 from hitchid.logs.resampling import SHORTEST_STEP_S
-from hitchid.logs.signal_map import DIMENSIONS, Strict, describe
+from hitchid.logs.signal_map import DIMENSIONS, StrictSettings, describe_settings
 from hitchid.logs.units import UNITS
 from hitchid.model.estimates import Estimates, Uncertainty
 from hitchid.model.limits import TravelLimits
@@ -37,7 +37,7 @@ from hitchid.model.schema_checks import (
     listed,
     named,
 )
-from hitchid.networks.error_compensator import FEATURES
+from hitchid.networks.error_compensator import COMPENSATOR_FEATURES
 from hitchid.structures import (
     DEAD_TIME,
     NONLINEARITY_PARAMETERS,
@@ -61,10 +61,10 @@ Samples = Annotated[int, Field(ge=1, le=MAX_SAMPLES)]
 
 
 Item = TypeVar("Item")
-Row = Annotated[tuple[Item, ...], Field(strict=False)]  # a list, in TOML, too
+DescribedRow = Annotated[tuple[Item, ...], Field(strict=False)]  # a list, in TOML, too
 
 
-class Described(Strict):
+class Described(StrictSettings):
     """Part of a description: its own keys only, no text for a number, and finite numbers."""
 
     model_config = ConfigDict(strict=True, allow_inf_nan=False)
@@ -81,25 +81,25 @@ class CurveScales(Described):
 class Curves(Described):
     """Curves around a linear model; see `StaticNonlinearity`."""
 
-    values: Row[float]
+    values: DescribedRow[float]
     scales: CurveScales
 
 
 class CovariateScheduling(Described):
     """Effects of covariates on parameters; see `Scheduling`."""
 
-    covariates: Row[str] = Field(min_length=1)
-    quantities: Row[str]
-    centre: Row[Number]
-    spread: Row[Positive]
-    effects: Row[Row[Row[float]]]
+    covariates: DescribedRow[str] = Field(min_length=1)
+    quantities: DescribedRow[str]
+    centre: DescribedRow[Number]
+    spread: DescribedRow[Positive]
+    effects: DescribedRow[DescribedRow[DescribedRow[float]]]
 
 
 class PhysicalDescription(Described):
     """Physical model of one direction with its sign and its dead zone, within the bounds of its structure."""
 
     structure: str
-    values: Row[float]
+    values: DescribedRow[float]
     dead_time_s: float
     shape: Curves | None = None
     scheduling: CovariateScheduling | None = None
@@ -184,8 +184,8 @@ class CompensatorSizes(Described):
     @field_validator("features")
     @classmethod
     def _of_this_version(cls, features: tuple[str, ...]) -> tuple[str, ...]:
-        if features != FEATURES:
-            raise ValueError(f"got {listed(features)}, expected {listed(FEATURES)}")
+        if features != COMPENSATOR_FEATURES:
+            raise ValueError(f"got {listed(features)}, expected {listed(COMPENSATOR_FEATURES)}")
         return features
 
 
@@ -333,7 +333,7 @@ def parse(kind: type[AnySealed], data: bytes, place: object) -> AnySealed:
     try:
         return kind.model_validate_json(data)
     except ValidationError as error:
-        raise ModelFolderError(f"{place}: {describe(error, kind)}") from error
+        raise ModelFolderError(f"{place}: {describe_settings(error, kind)}") from error
 
 
 def _check_units(units: Mapping[str, str], directions: Collection[str]) -> None:

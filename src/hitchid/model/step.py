@@ -20,7 +20,7 @@ from hitchid.logs.record import DIRECTIONS
 from hitchid.model.dynamics import HitchDynamics
 from hitchid.model.error_prediction import clip_at_end_stops
 from hitchid.model.inputs import channel_load, mean_load
-from hitchid.model.load_filter import JUMP, TINY
+from hitchid.model.load_filter import LOAD_JUMP, LOAD_TINY
 from hitchid.model.state import ChannelState, HitchState, Switching
 
 # State as two flat arrays, to keep the cost of a call of a compiled function small.
@@ -178,7 +178,7 @@ class LoadBank(eqx.Module):
     ) -> tuple[LoadBankState, Float[Array, ""]]:
         """Return the state and the expected displacement at the next sample; see `HitchDynamics.step`."""
         variance, error = jax.vmap(self._prediction_error, in_axes=(0, None))(state.hitches, measured)
-        tells_load = (jnp.abs(measured) < MAX_MAGNITUDE) & (jnp.min(error**2 / variance) <= JUMP**2)
+        tells_load = (jnp.abs(measured) < MAX_MAGNITUDE) & (jnp.min(error**2 / variance) <= LOAD_JUMP**2)
         likelihood = -0.5 * (jnp.log(variance) + error**2 / variance)
         log_weights = state.log_weights + jnp.where(tells_load, likelihood, 0.0)
         # The weights first: the step corrects all filters by this measurement, which then surprises none.
@@ -214,7 +214,7 @@ class LoadBank(eqx.Module):
         channels, active = self.dynamics.channels, jnp.maximum(state.mode, 0)
         noise = jnp.stack([channel.load_filter.noise for channel in channels])[active]
         expected = clip_at_end_stops(channels, state, state.benchmark) + state.estimates.error[active]
-        return jnp.maximum(state.estimates.variance[active] + noise**2, TINY), measured - expected
+        return jnp.maximum(state.estimates.variance[active] + noise**2, LOAD_TINY), measured - expected
 
 
 LOAD_BANK_NDIM = 4  # axes of `Packed.hidden` where a hitch is simulated at many loads

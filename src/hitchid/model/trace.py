@@ -10,7 +10,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from hitchid._support.bounded import Count, Error, Number, Size
 from hitchid._support.records import short_repr
 from hitchid.errors import ModelFolderError
-from hitchid.logs.signal_map import describe
+from hitchid.logs.signal_map import describe_settings
 from hitchid.model.estimates import Estimate
 
 MOST = Field(max_length=100)  # parameters, or structures that were compared: each is drawn; chosen
@@ -138,7 +138,7 @@ def read_trace(content: Mapping[str, object]) -> dict[str, ChannelTraceFile]:
     try:
         return _ADAPTER.validate_json(json.dumps(content), strict=True)
     except ValidationError as error:
-        raise ModelFolderError(f"trace.json: {describe(error)}") from error
+        raise ModelFolderError(f"trace.json: {describe_settings(error)}") from error
 
 
 _ADAPTER = TypeAdapter(dict[str, ChannelTraceFile])

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Float32, Int
 from hitchid.networks.lstm import SINGLE, Lstm, LstmState
 
 MAX_HORIZON = 100  # samples after a measurement, at most, that a compensator corrects; chosen: 1 s at 100 Hz
-FEATURES = (
+COMPENSATOR_FEATURES = (
     "time",
     "command",
     "command_change",

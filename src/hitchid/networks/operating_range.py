@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-MARGIN = 0.1  # share of a range: distance beyond its ends at which the trust is zero; chosen
+RANGE_MARGIN = 0.1  # share of a range: distance beyond its ends at which the trust is zero; chosen
 
 
 class SignalRange(eqx.Module):
@@ -18,7 +18,7 @@ class SignalRange(eqx.Module):
         """Return 1 within the range, falling to 0 over a tenth of its width beyond."""
         distance = jnp.maximum(jnp.maximum(self.lowest - values, values - self.highest), 0.0)
         width = self.highest - self.lowest
-        return 1 - jnp.minimum(distance / jnp.where(width > 0, MARGIN * width, 1.0), 1.0)
+        return 1 - jnp.minimum(distance / jnp.where(width > 0, RANGE_MARGIN * width, 1.0), 1.0)
 
 
 class OperatingRange(eqx.Module):

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from hitchid.networks.operating_range import OperatingRange, SignalRange
 
-AUTHORITY = 0.5  # largest relative correction of the speed; chosen
+SPEED_AUTHORITY = 0.5  # largest relative correction of the speed; chosen
 SIGNALS = 4  # command, speed and acceleration of the benchmark, displacement; covariates follow
 DISPLACEMENT = 3  # index of the input that the networks feed back
 
@@ -85,7 +85,9 @@ class SpeedCompensator(eqx.Module):
         """
         scaled = self.inputs(command, speed, acceleration, displacement, load)
         trust = self.operating_range.trust(jnp.abs(command), displacement, load)
-        return 1 + AUTHORITY * trust * _mean_output(self.networks, _preactivation(self.networks, scaled))
+        return 1 + SPEED_AUTHORITY * trust * _mean_output(
+            self.networks, _preactivation(self.networks, scaled)
+        )
 
 
 @eqx.filter_jit
@@ -113,7 +115,7 @@ def simulate_compensated(
         position = _centred(displacement, operating_range.displacement)[:, None, None]
         output = _mean_output(networks, fixed + networks.input_weights[..., DISPLACEMENT] * position)
         trust = trust * operating_range.displacement.trust(displacement)
-        return travel + (1 + AUTHORITY * trust * output) * increment, travel
+        return travel + (1 + SPEED_AUTHORITY * trust * output) * increment, travel
 
     samples = (jnp.swapaxes(fixed, 0, 1), trust.T, increment.T)
     return jax.lax.scan(advance, jnp.zeros_like(initial), samples)[1].T

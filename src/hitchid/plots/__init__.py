@@ -21,4 +21,13 @@ from hitchid.plots.drawing import draw_measured as draw_measured
 from hitchid.plots.drawing import draw_predicted as draw_predicted
 from hitchid.plots.drawing import draw_segments as draw_segments
 from hitchid.plots.drawing import draw_speed_map as draw_speed_map
+from hitchid.plots.style import COLOURS as COLOURS
+from hitchid.plots.style import COMPARED as COMPARED
+from hitchid.plots.style import FAINT as FAINT
+from hitchid.plots.style import GRID as GRID
+from hitchid.plots.style import INK as INK
+from hitchid.plots.style import PAGE_IN as PAGE_IN
 from hitchid.plots.style import canvas as canvas
+from hitchid.plots.style import legend_above as legend_above
+from hitchid.plots.style import logarithmic as logarithmic
+from hitchid.plots.style import styled as styled

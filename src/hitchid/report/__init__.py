@@ -4,6 +4,7 @@ from hitchid.model.trace import ChannelTraceFile as ChannelTraceFile
 from hitchid.model.trace import read_trace as read_trace
 from hitchid.report.comparison_report import comparison_report as comparison_report
 from hitchid.report.comparison_report import comparison_tables as comparison_tables
+from hitchid.report.document import Block as Block
 from hitchid.report.document import Document as Document
 from hitchid.report.document import Faint as Faint
 from hitchid.report.document import Finding as Finding
@@ -15,10 +16,18 @@ from hitchid.report.document import Signals as Signals
 from hitchid.report.document import Table as Table
 from hitchid.report.document import Text as Text
 from hitchid.report.document import sentence as sentence
+from hitchid.report.figures.errors import FIGURE_SAMPLES as FIGURE_SAMPLES
+from hitchid.report.origin import logs_section as logs_section
+from hitchid.report.origin import origin_section as origin_section
+from hitchid.report.parameters_section import parameters_section as parameters_section
+from hitchid.report.validation_report import accuracy_section as accuracy_section
 from hitchid.report.validation_report import all_tables as all_tables
 from hitchid.report.validation_report import direction_sections as direction_sections
+from hitchid.report.validation_report import trust_section as trust_section
 from hitchid.report.validation_report import validation_report as validation_report
 from hitchid.report.validation_report import validation_tables as validation_tables
+from hitchid.report.verdict import limits_section as limits_section
+from hitchid.report.verdict import verdict_section as verdict_section
 from hitchid.report.write import FIGURES as FIGURES
 from hitchid.report.write import Format as Format
 from hitchid.report.write import Renderer as Renderer

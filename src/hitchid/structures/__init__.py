@@ -1,5 +1,6 @@
 """Physical models: structures in identifiable parameters, discretised exactly, simulated in batches."""
 
+from hitchid.structures.batch import REST_SAMPLES as REST_SAMPLES
 from hitchid.structures.batch import Batch as Batch
 from hitchid.structures.batch import before_end_stop as before_end_stop
 from hitchid.structures.batch import mean_before_motion as mean_before_motion
@@ -8,7 +9,11 @@ from hitchid.structures.batch import split_validation as split_validation
 from hitchid.structures.batch import validation_mask as validation_mask
 from hitchid.structures.discrete_model import DiscretePhysicalModel as DiscretePhysicalModel
 from hitchid.structures.discrete_model import ValveState as ValveState
+from hitchid.structures.discretisation import STROKE_NODES as STROKE_NODES
+from hitchid.structures.discretisation import STROKE_RANGE as STROKE_RANGE
+from hitchid.structures.discretisation import StrokeModel as StrokeModel
 from hitchid.structures.discretisation import discretise as discretise
+from hitchid.structures.discretisation import discretise_delayed as discretise_delayed
 from hitchid.structures.discretisation import pulse_response as pulse_response
 from hitchid.structures.linear_model import LinearModel as LinearModel
 from hitchid.structures.linear_model import SmallSignal as SmallSignal
@@ -21,7 +26,13 @@ from hitchid.structures.linear_model import small_signal_at as small_signal_at
 from hitchid.structures.linear_model import small_signals as small_signals
 from hitchid.structures.linear_model import speeds_at as speeds_at
 from hitchid.structures.linear_model import steady_speed as steady_speed
+from hitchid.structures.linear_structures import FirstOrderLag as FirstOrderLag
+from hitchid.structures.linear_structures import Integrator as Integrator
+from hitchid.structures.linear_structures import IntegratorFirstOrder as IntegratorFirstOrder
+from hitchid.structures.linear_structures import IntegratorSecondOrder as IntegratorSecondOrder
 from hitchid.structures.model_spec import ModelSpec as ModelSpec
+from hitchid.structures.nonlinear_structures import CascadedTanks as CascadedTanks
+from hitchid.structures.nonlinear_structures import InertiaWithFriction as InertiaWithFriction
 from hitchid.structures.nonlinear_structures import NonlinearStructure as NonlinearStructure
 from hitchid.structures.nonlinearity import NONLINEARITY_PARAMETERS as NONLINEARITY_PARAMETERS
 from hitchid.structures.nonlinearity import CovariateEffects as CovariateEffects

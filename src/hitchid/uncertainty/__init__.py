@@ -2,6 +2,10 @@
 
 from hitchid.uncertainty.influence import Influence as Influence
 from hitchid.uncertainty.influence import information_of as information_of
+from hitchid.uncertainty.influence import profile_out_gain as profile_out_gain
+from hitchid.uncertainty.influence import standard_errors as standard_errors
+from hitchid.uncertainty.influence import standard_errors_with as standard_errors_with
+from hitchid.uncertainty.influence import standard_errors_with_repeat as standard_errors_with_repeat
 from hitchid.uncertainty.intervals import assess as assess
 from hitchid.uncertainty.intervals import unassessed as unassessed
 from hitchid.uncertainty.load_scatter import load_scatter as load_scatter

@@ -9,7 +9,7 @@ from pydantic import Field, field_validator, model_validator
 from hitchid._support.metrics import HORIZONS
 from hitchid.errors import InputError, SettingsError
 from hitchid.logs.record import DIRECTIONS
-from hitchid.logs.signal_map import Strict, parse_settings
+from hitchid.logs.signal_map import StrictSettings, parse_settings
 from hitchid.logs.units import UNITS, conversion_factor
 from hitchid.validation.results import CYCLES, GREYBOX, NAMES, ONE_STEP
 
@@ -21,7 +21,7 @@ Percent = Annotated[float, Field(strict=True, gt=0, le=100, allow_inf_nan=False)
 Share = Annotated[float, Field(strict=True, gt=0, le=1, allow_inf_nan=False)]
 
 
-class _NonEmptyLimits(Strict):
+class _NonEmptyLimits(StrictSettings):
     """Limits, at least one of which is required: a file without limits would accept every model."""
 
     @model_validator(mode="after")

@@ -6,7 +6,7 @@ import numpy as np
 
 from hitchid.bench.sun2025.results import DirectionResult, ErrorSummary, end_deviation, summary
 from hitchid.identification import ChannelTrace
-from hitchid.logs.record import LIFTING, LOWERING
+from hitchid.logs import LIFTING, LOWERING
 from hitchid.model import Estimate, Quantity
 from hitchid.report import (
     ChannelTraceFile,
@@ -18,15 +18,17 @@ from hitchid.report import (
     ReportSection,
     Table,
     Text,
+    accuracy_section,
     all_tables,
     direction_sections,
+    logs_section,
     numbers,
+    origin_section,
+    parameters_section,
     sentence,
+    trust_section,
+    verdict_section,
 )
-from hitchid.report.origin import logs_section, origin_section
-from hitchid.report.parameters_section import parameters_section
-from hitchid.report.validation_report import accuracy_section, trust_section
-from hitchid.report.verdict import verdict_section
 from hitchid.validation import Validation
 
 # Report of the study: tables and figures of the paper with our values, and our uncertainty.

@@ -11,13 +11,24 @@ from hitchid._support.records import short_repr
 from hitchid.bench.sun2025.page import study_report, study_tables, study_tables_document
 from hitchid.bench.sun2025.results import DirectionResult, Subsets, direction_result, mechanistic
 from hitchid.bench.virtual_campaign import REPEATS, Protocol, write_campaign
-from hitchid.estimation.whale import WhaleConfig
-from hitchid.identification import AdamConfig, AutoStructure, CompensatorConfig, Identification, Search, Whale
-from hitchid.identification.identify import DEFAULT_STRUCTURES, PAPER_SPECS, TRAINING, WHALE, identify
-from hitchid.logs import read
-from hitchid.logs.record import LIFTING, LOWERING
-from hitchid.model.trace import TracedSearch
+from hitchid.estimation import WhaleConfig
+from hitchid.identification import (
+    DEFAULT_STRUCTURES,
+    PAPER_SPECS,
+    TRAINING,
+    WHALE,
+    AdamConfig,
+    AutoStructure,
+    CompensatorConfig,
+    Identification,
+    Search,
+    Whale,
+    identify,
+)
+from hitchid.logs import LIFTING, LOWERING, read
+from hitchid.model import TracedSearch
 from hitchid.report import (
+    FIGURE_SAMPLES,
     FIGURES,
     ChannelTraceFile,
     Picture,
@@ -27,7 +38,6 @@ from hitchid.report import (
     render,
     write_report_files,
 )
-from hitchid.report.figures.errors import MAX_SAMPLES
 from hitchid.structures import ModelSpec
 from hitchid.validation import Predictions, Validation, validate
 
@@ -94,7 +104,7 @@ def _predicted_errors(direction: str, results: Mapping[str, Subsets], unit: str)
                 unit,
                 f"Figure {number} of the paper: error of the physics model, actual and predicted one step "
                 f"ahead, on training and validation tests, {direction}, {method}.",
-                f"Actual and predicted error in {unit} over {MAX_SAMPLES} samples.",
+                f"Actual and predicted error in {unit} over {FIGURE_SAMPLES} samples.",
             )
         )
     return PaperFigure(number, tuple(pictures))

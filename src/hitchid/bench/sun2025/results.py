@@ -16,8 +16,7 @@ from hitchid.bench.plant import Rig, rig_limits
 from hitchid.bench.small_signal import OperatingPoint, SmallSignal, lowering_small_signal, small_signal
 from hitchid.bench.virtual_campaign import DYNAMIC_S, STROKE_FRACTION
 from hitchid.identification import Identification
-from hitchid.logs.campaign import Campaign
-from hitchid.logs.record import LIFTING, Record
+from hitchid.logs import LIFTING, Campaign, Record
 from hitchid.model import Channel, remove_padding
 from hitchid.structures import PhysicalModel, structure_named
 from hitchid.validation import Predictions

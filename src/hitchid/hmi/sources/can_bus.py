@@ -11,14 +11,14 @@ from pydantic import Field
 
 from hitchid.errors import InputError
 from hitchid.hmi.source import REQUIRED, Reading, signal_named
-from hitchid.logs.signal_map import Strict, parse_settings
+from hitchid.logs import StrictSettings, parse_settings
 
 HELD_S = 0.1  # s, age at which a value counts as missing, not as measured again; chosen: a slow cycle time
 MOST_FRAMES = 1000  # taken in one tick, so that a flooded bus cannot hold up the loop; chosen
 GROUPS = {"displacement": "displacement", "lifting_command": "command", "lowering_command": "command"}
 
 
-class OutputMessage(Strict):
+class OutputMessage(StrictSettings):
     """`[output]`: the message that carries the commands, sent each tick."""
 
     message: str
@@ -26,7 +26,7 @@ class OutputMessage(Strict):
     lowering_command: str
 
 
-class BusFile(Strict):
+class BusFile(StrictSettings):
     """The file of a CAN source.
 
     Attributes:

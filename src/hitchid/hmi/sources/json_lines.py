@@ -11,7 +11,7 @@ import sys
 import termios
 import tty
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -25,6 +25,7 @@ MOST_LINES_WAITING = 3  # commands that may wait in a serial port: 30 ms of them
 CAN_BE_BUSY = (BlockingIOError, InterruptedError)
 
 
+@runtime_checkable
 class Transport(Protocol):
     """Where lines come from and go to; no call may block.
 

@@ -12,8 +12,7 @@ from hitchid.bench.simulation import SAMPLE_S
 from hitchid.bench.stepping import reset, step
 from hitchid.errors import InputError
 from hitchid.hmi.source import DISPLACEMENT, REQUIRED, REQUIRED_SIGNALS, Reading, signal_named
-from hitchid.logs import read
-from hitchid.logs.record import COMMAND, DIRECTIONS
+from hitchid.logs import COMMAND, DIRECTIONS, read
 
 START_M = 0.02  # m, displacement at which the bench is switched on: just above the lower stop; chosen
 PA_PER_BAR = 1e5

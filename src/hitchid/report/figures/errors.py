@@ -29,7 +29,7 @@ from hitchid.validation.plotting import (
 from hitchid.validation.residuals import ResidualTests
 from hitchid.validation.results import concatenate_tests, label
 
-MAX_SAMPLES, QUANTILES = 2000, 201  # samples, as in the paper; points of a cumulative curve
+FIGURE_SAMPLES, QUANTILES = 2000, 201  # samples, as in the paper; points of a cumulative curve
 
 
 @styled
@@ -43,7 +43,7 @@ def predicted_errors(
     axes = np.atleast_1d(figure.subplots(len(subsets), 1, sharex=True))
     for axis, (subset, tests) in zip(axes, subsets.items(), strict=True):
         measured, benchmark, one_step = (
-            concatenate_tests(rows)[:MAX_SAMPLES]
+            concatenate_tests(rows)[:FIGURE_SAMPLES]
             for rows in (tests.actual, tests.models["benchmark"], tests.models["one_step"])
         )
         actual, predicted = measured - benchmark, one_step - benchmark
