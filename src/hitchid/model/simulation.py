@@ -191,7 +191,7 @@ def describe_range(channel: Channel, units: Mapping[str, str], name: str) -> str
         ends = zip(signal_range.lowest.tolist(), signal_range.highest.tolist(), strict=True)
         ranges = [f"{low:.4g} to {high:.4g}" for low, high in ends]
         if len(ranges) == 1:
-            return f"{ranges[0]} {units.get(''.join(covariates), '')}"
+            return f"{ranges[0]} {units.get(''.join(covariates), '')}".rstrip()
         named = zip(covariates, ranges, strict=True)
         return ", ".join(f"{covariate} {text} {units.get(covariate, '')}" for covariate, text in named)
     role = {"command": COMMAND[channel.direction], "displacement": DISPLACEMENT}[name]
