@@ -95,3 +95,7 @@ def test_a_registered_format_comes_before_another_one_with_its_ending(install, t
     if name == "OWN":
         with pytest.raises(InputError, match=r"server\.log: is not a log in the format candump or rig; exp"):
             format_of(tmp_path / "server.log")
+
+
+def test_a_name_too_long_for_the_disk_has_the_format_of_its_ending():
+    assert format_of(Path("a" * 300 + ".log")).name == "candump"

@@ -83,10 +83,8 @@ def known_format(path: Path) -> Format | None:
     for log_format in reversed(tuple(formats().values())):
         if not path.name.lower().endswith(log_format.suffixes):
             continue
-        if log_format.is_log is None or not path.is_file():
-            return log_format
         try:
-            if log_format.is_log(path):
+            if log_format.is_log is None or not path.is_file() or log_format.is_log(path):
                 return log_format
         except OSError:
             return log_format  # its reader says why the file cannot be read
