@@ -67,13 +67,13 @@ MUTATIONS = (
         "logs/test_segmentation.py",
     ),
     Mutation(
-        "logs/formats/can_streams.py",
+        "logs/formats/can_decoder.py",
         "* signal.scale + signal.offset",
         "* signal.scale - signal.offset",
         "logs/test_can.py",
     ),
     Mutation(
-        "logs/formats/can_streams.py",
+        "logs/formats/can_decoder.py",
         "all_ones - 1 if signal.length < 8",
         "all_ones if signal.length < 8",
         "logs/test_can.py",

@@ -7,7 +7,7 @@ import cantools.database
 from can.io.mf4 import MF4Writer
 
 from hitchid.logs.content import ChannelSelection
-from hitchid.logs.formats.can_streams import Frame
+from hitchid.logs.formats.can_decoder import Frame
 
 EXTENDED = 0x80000000
 MARKS = """BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";

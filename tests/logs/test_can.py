@@ -13,7 +13,7 @@ from hitchid.errors import LogError
 from hitchid.logs.formats import known_format
 from hitchid.logs.formats.can import is_bus_log, read, read_bus, read_mf4
 from hitchid.logs.formats.can_database import CanSignal, parameter_group
-from hitchid.logs.formats.can_streams import Frame, available
+from hitchid.logs.formats.can_decoder import Frame, available
 
 KINDS = (".asc", ".blf", ".mf4", ".trc", ".log")
 ALL_FRAMES = tuple(kind for kind in KINDS if kind != ".trc")  # python-can writes no others to it

@@ -12,8 +12,8 @@ import numpy as np
 from hitchid.errors import LogError
 from hitchid.logs.content import ChannelSelection, Content
 from hitchid.logs.formats.can_bus import read_bus as read_bus
-from hitchid.logs.formats.can_streams import Frame, candump_frames, inventory
-from hitchid.logs.formats.can_streams import is_candump as is_candump
+from hitchid.logs.formats.can_decoder import Frame, candump_frames, inventory
+from hitchid.logs.formats.can_decoder import is_candump as is_candump
 from hitchid.logs.formats.library import as_log_errors, import_optional
 from hitchid.logs.formats.mdf_values import open_mdf
 

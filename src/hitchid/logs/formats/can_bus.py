@@ -17,7 +17,7 @@ from hitchid.logs.formats.can_database import (
     parameter_group,
     read_databases,
 )
-from hitchid.logs.formats.can_streams import (
+from hitchid.logs.formats.can_decoder import (
     BusTraffic,
     Frame,
     Stream,

@@ -1,4 +1,4 @@
-"""From frames to streams: the message and the sending node of each frame."""
+"""Decoder of a CAN bus: frames to streams of one message and sending node, payloads to numbers of signals."""
 
 import re
 import struct
