@@ -68,14 +68,16 @@ def outside(address: str) -> bool:
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory):
+def site(once):
     """Return the folder of the built site; a warning is an error."""
-    folder = tmp_path_factory.mktemp("site")
-    options = ["-W", "--keep-going", "-n", "-q", "-b", "html", "-d"]
-    command = [sys.executable, "-m", "sphinx", *options, folder / "doctrees", DOCS, folder / "html"]
-    done = subprocess.run(list(map(str, command)), capture_output=True, text=True)  # noqa: S603
-    assert done.returncode == 0, done.stderr
-    return folder / "html"
+
+    def build(folder):
+        options = ["-W", "--keep-going", "-n", "-q", "-b", "html", "-d"]
+        command = [sys.executable, "-m", "sphinx", *options, folder / "doctrees", DOCS, folder / "html"]
+        done = subprocess.run(list(map(str, command)), capture_output=True, text=True)  # noqa: S603
+        assert done.returncode == 0, done.stderr
+
+    return once("site", build) / "html"
 
 
 @pytest.fixture(scope="module")
