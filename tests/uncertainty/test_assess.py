@@ -206,3 +206,14 @@ def test_only_the_lag_of_a_fast_plant_is_determined(batch_of):
         assert estimates[name].interval[1] is None
         assert estimates[name].verdict.startswith("only lag 2ξh/ωh is determined: ")
     assert not derived["beta1 (beta3 = 1)"].determined
+
+
+def test_sensitivities_are_those_of_the_error_to_a_hundredth(batch_of):
+    batch = batch_of(alike([15.0, 14.0, 16.0, 15.5, 14.5]))
+    estimates, _, _ = assessed(batch, INTEGRATOR)
+    misfit = Objective.of(batch, INTEGRATOR)
+    gains = estimates["gain"].value * np.array([1.0, 0.99, 1.01])
+    best, *perturbed = (float(misfit(misfit.position(np.array([gain]))[None])[0]) for gain in gains)
+    assert estimates["gain"].sensitivity == pytest.approx(
+        np.mean(np.abs(np.array(perturbed) / best - 1)), rel=1e-6
+    )

@@ -57,6 +57,15 @@ def test_coverage_is_within_a_test_of_the_level(tests, level):
     assert conformal_quantile(few, 0.5) < 4.0
 
 
+@given(rows=scores, level=st.floats(0.01, 0.99), power=st.integers(-20, 20), seed=st.integers(0, 99))
+def test_neither_unit_nor_order_of_scores_matters(rows, level, power, seed):
+    rng, quantile = np.random.default_rng(seed), conformal_quantile(rows, level)
+    # Powers of two scale without rounding.
+    assert conformal_quantile([2.0**power * row for row in rows], level) == 2.0**power * quantile
+    shuffled = [rng.permutation(rows[number]) for number in rng.permutation(len(rows))]
+    assert conformal_quantile(shuffled, level) == pytest.approx(quantile, rel=1e-12)
+
+
 @pytest.mark.parametrize("level", LEVELS)
 def test_the_level_needs_no_raising_where_samples_are_independent(level):
     tests, samples = 20, 1000
