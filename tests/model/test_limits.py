@@ -18,6 +18,7 @@ def test_without_a_stop_the_limit_is_a_tenth_beyond_the_logs(make_record):
     ]
     assert TravelLimits.of(records, {}) == TravelLimits(15.0, 75.0)
     assert TravelLimits.of(records, {1: 69.0}) == TravelLimits(15.0, 69.0, upper_stop=True)
+    assert TravelLimits.of(records, {1: 30.0, -1: 60.0}) == TravelLimits(15.0, 75.0)
     assert TravelLimits.of(records, {-1: 21.0}) == TravelLimits(21.0, 75.0, lower_stop=True)
 
 

@@ -163,10 +163,7 @@ def _usable_tests(
     sign = _direction(records, direction)
     known = campaign.end_stop(sign)
     # Before the tests at it are left out: they are those that show where it is.
-    others = [
-        record for way in campaign.directions if way != direction for record in campaign.identification(way)
-    ]
-    stop = find_end_stop(cycles or records, direction, sign, known, () if cycles else others)
+    stop = find_end_stop(cycles or records, direction, sign, known)
     end_stop = known if stop is None else stop.position
     records, at_end_stop = split_usable(
         _by_name(records), lambda record: _check_before_end_stop(record, sign, end_stop), strict=strict

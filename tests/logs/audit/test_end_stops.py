@@ -65,13 +65,6 @@ def test_a_piston_that_stands_elsewhere_is_at_no_stop(log):
     assert find_end_stop(blocked, "lifting", 1) is None
 
 
-def test_a_standstill_that_tests_of_the_other_direction_pass_is_at_no_stop(log):
-    blocked = [log(f"b-{n}", (0, 1), (60, 6), (0, 1), start=20.0, stops=(0.0, 60.0)) for n in range(2)]
-    above = log("above", (0, 1), (-60, 1), (0, 1), start=90.0)
-    assert find_end_stop(blocked, "lifting", 1) is not None
-    assert find_end_stop(blocked, "lifting", 1, others=[above]) is None
-
-
 def test_both_stops_of_mixed_logs_are_found_and_named_by_the_audit(log):
     up_and_down = [(0, 1), (70, 4), (0, 1), (-80, 4), (0, 1), (30, 2), (0, 1)]
     logs = [log("both", *up_and_down), log("neither", (0, 1), (40, 1), (0, 1), (-40, 1), (0, 1))]

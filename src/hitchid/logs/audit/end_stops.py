@@ -69,13 +69,9 @@ class _Drive(NamedTuple):
 
 
 def find_end_stop(
-    records: Sequence[Record],
-    direction: str,
-    sign: int,
-    known: float | None = None,
-    others: Sequence[Record] = (),
+    records: Sequence[Record], direction: str, sign: int, known: float | None = None
 ) -> EndStop | None:
-    """Return the end stop in a direction; None where no record meets one, or one goes beyond.
+    """Return the end stop in a direction; None where no record meets one.
 
     A piston is at its stop where it stands at the extreme of its travel, within 2 % of the range, while its
     command has been on for 0.6 s, the last 0.3 s of them without motion. The command must be one that moves
@@ -88,18 +84,14 @@ def find_end_stop(
         direction: whose command drives towards the stop.
         sign: +1 where the displacement grows with that command, −1 where it falls.
         known: position of the stop where it is known already.
-        others: further tests of the same piston, which may show that it goes beyond.
     """
     drives = [_drive(record, direction, sign) for record in records if direction in record.directions]
     if not drives:
         return None
-    positions = [drive.position for drive in drives] + [sign * record.displacement for record in others]
-    farthest = max(map(_without_spikes, positions))
-    span = farthest - min(-_without_spikes(-position) for position in positions)
+    farthest = max(_without_spikes(drive.position) for drive in drives)
+    span = farthest - min(-_without_spikes(-drive.position) for drive in drives)
     if known is None:
         known = _agreed_stall([record for record in records if record.kind == direction], direction, sign)
-        if known is not None and farthest - sign * known > AT_END_FRACTION * span:
-            known = None
     if known is None:
         standing = _pressed_at_end(drives, farthest, span)
         # Each log counts once, however long it stands there.
