@@ -54,14 +54,25 @@ def test_a_part_after_a_gap_is_used_from_rest(strokes, gap, starts):
     assert from_rest(at_rest)[0] == at_rest
 
 
-def test_motion_after_a_gap_is_used_with_a_warning_where_nothing_else_is():
+def test_motion_after_a_gap_is_used_with_a_warning_or_refused():
     parts = Campaign.from_dataframes({"a": log(UP, UP)})[["a@2"]]
-    campaign, (warning,) = from_rest(parts)
+    campaign, (warning,) = from_rest(parts, otherwise="the gain is wrong")
     assert campaign == parts
     assert warning.startswith("a@2: begins in motion after a gap")
-    assert "gain and lag may be wrong" in warning
-    with pytest.raises(InputError, match=r"begins in motion after a gap; expected 0\.5 s without a command"):
-        from_rest(replace(parts, strict=True))
+    assert warning.endswith("for want of others: the gain is wrong")
+    for refusing, otherwise in ((parts, ""), (replace(parts, strict=True), "the gain is wrong")):
+        with pytest.raises(
+            InputError, match=r"begins in motion after a gap; expected 0\.5 s without a command"
+        ):
+            from_rest(refusing, otherwise)
+
+
+def test_a_ramp_in_motion_is_left_out_beside_tests_at_rest():
+    kinds = {"a@2": "ramp", "a@1": "lifting"}
+    parts = Campaign.from_dataframes({"a": log(UP, UP)}, kinds=kinds)
+    campaign, notices = from_rest(parts, otherwise="the gain is wrong")
+    assert [record.name for record in campaign] == ["a@1"]
+    assert not any("for want of others" in notice for notice in notices)
 
 
 def test_gaps_in_motion_leave_gain_and_lag_as_they_are():

@@ -26,6 +26,19 @@ import hitchid.logs.campaign, hitchid.validation
 print(json.dumps([loaded, sorted(sys.modules)]))
 """
 
+EACH_FIRST = """
+import sys, hitchid
+for room in hitchid._PACKAGES:
+    for name in [name for name in sys.modules if name.startswith("hitchid")]:
+        del sys.modules[name]
+    import hitchid
+    getattr(hitchid, room)
+"""
+
+
+def test_each_room_can_be_the_first_that_is_imported():
+    subprocess.run([sys.executable, "-c", EACH_FIRST], check=True)  # noqa: S603
+
 
 def test_a_model_needs_no_search_and_no_result_needs_matplotlib(tmp_path):
     save(hitch(compensated=True, free_run=True), tmp_path / "model")

@@ -254,7 +254,7 @@ def _in_units(curve: np.ndarray) -> np.ndarray:
 
 @styled
 def verdicts(comparison: FleetComparison) -> Figure:
-    """Return the verdict on parameter parameter of parameter machine.
+    """Return the verdict on each parameter of each machine.
 
     Machines that could not be identified are the last rows; of more than sixty, those that stand out alone.
     At least one has to be shown.

@@ -1,5 +1,7 @@
 """What a control engineer takes from a model: steady speed, its inverse, linear models, responses."""
 
+# A model hands itself over, so both rooms know each other: the model comes first, whoever is asked for first.
+import hitchid.model  # noqa: F401
 from hitchid.handover.inverse import InverseTable as InverseTable
 from hitchid.handover.responses import FrequencyResponse as FrequencyResponse
 from hitchid.handover.responses import StepResponse as StepResponse

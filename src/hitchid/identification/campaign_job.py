@@ -13,7 +13,7 @@ from hitchid.errors import InputError, SettingsError
 from hitchid.identification.config import ChannelConfig, IdentificationConfig
 from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.direction import with_calibrated_gain
-from hitchid.identification.hold_drift import RESPONSES, SETTLED_S, drift_is_shown, hold_drift, holds
+from hitchid.identification.hold_drift import drift_is_shown, hold_drift, holds
 from hitchid.identification.mode_test import calibrate_gains, calibration_improves, compare_modes
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.preparation import ChannelData, mixed_dead_zones, prepare
@@ -24,7 +24,7 @@ from hitchid.logs.campaign import Campaign
 from hitchid.logs.from_rest import from_rest
 from hitchid.logs.record import COMMAND, CYCLE, DISPLACEMENT, Record
 from hitchid.model import Channel, Hitch, Provenance, Rivals, TravelLimits
-from hitchid.structures import ModelSpec
+from hitchid.structures import LinearStructure, ModelSpec
 
 # Test of the compensators for free run on whole cycles, where each continues where the other one ended.
 
@@ -79,7 +79,8 @@ class CampaignJob:
             raise InputError(
                 f"split.test: the pattern '{pattern}' matches none of the {len(campaign.records)} tests"
             )
-        recorded, (campaign, in_motion) = campaign, from_rest(campaign)
+        recorded, wrong = campaign, "gain and lag may be wrong by more than their intervals"
+        campaign, in_motion = from_rest(campaign, otherwise=wrong)
         for direction, value in config.dead_zones.items():
             _check_dead_zone(campaign, direction, value)
         for direction, spec in config.specs.items():
@@ -246,20 +247,32 @@ class CampaignJob:
         limits = TravelLimits.of(records, stops)
         channels = {direction: replace(channel, limits=limits) for direction, (channel, _) in results.items()}
         dead_zones = {direction: channel.dead_zone for direction, channel in channels.items()}
-        responses_s = [
-            trace.uncertainty.characteristics.response_time.value
-            for _, trace in results.values()
-            if trace.uncertainty is not None
-            and trace.uncertainty.characteristics is not None
-            and trace.uncertainty.characteristics.response_time is not None
-        ]
-        settled_s = max([SETTLED_S, *(RESPONSES * response_s for response_s in responses_s)])
-        held = holds(records, dead_zones, limits, settled_s)
-        # Without a response time it is open how long a piston moves after its command, which is no drift.
-        is_used = self.config.drift
-        if is_used is None:
-            is_used = len(responses_s) == len(results) and drift_is_shown(held)
-        return Hitch(channels, campaign.step_s, units, drift=hold_drift(held) if is_used else 0.0)
+        drift = 0.0
+        if self.config.drift:
+            drift = hold_drift(holds(records, dead_zones, limits))
+        elif self.config.drift is None:
+            responses_s = [_response_s(channel, trace) for channel, trace in results.values()]
+            known_s = [response_s for response_s in responses_s if response_s is not None]
+            held = holds(records, dead_zones, limits, max(known_s, default=0.0))
+            if len(known_s) == len(results) and drift_is_shown(held):
+                drift = hold_drift(held)
+        return Hitch(channels, campaign.step_s, units, drift=drift)
+
+
+def _response_s(channel: Channel, trace: ChannelTrace) -> float | None:
+    """Return the response time to 63 %, s; None where it is open how a piston moves without a command.
+
+    A plant without integrator goes back by itself: its way back is part of its model, and no drift.
+    """
+    benchmark, uncertainty = channel.benchmark, trace.uncertainty
+    structure = benchmark.structure
+    if not isinstance(structure, LinearStructure) or uncertainty is None or not uncertainty.characteristics:
+        return None
+    if structure.transfer_function(tuple(map(float, benchmark.values)))[1][-1] != 0:
+        return None
+    response = uncertainty.characteristics.response_time
+    response_s = 0.0 if response is None else response.value
+    return response_s if np.isfinite(response_s) else None
 
 
 def _check_dead_zone(campaign: Campaign, direction: str, value: float) -> None:

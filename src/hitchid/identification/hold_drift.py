@@ -38,18 +38,20 @@ def holds(
     records: Sequence[Record],
     dead_zones: Mapping[str, float],
     limits: TravelLimits | None = None,
-    settled_s: float = SETTLED_S,
+    response_s: float = 0.0,
 ) -> list[list[Hold]]:
-    """Return the stretches of each record without effective command, from `settled_s` after their start.
+    """Return the stretches of each record without effective command, from where the piston has settled.
 
-    They last at least 0.5 s (five samples at long sampling times). Left out: those at an end stop.
+    That is 0.5 s (five samples at long sampling times) after their start, and five response times. They last
+    at least as long. Left out: those at an end stop.
     """
     stops = [] if limits is None else [limits.lower] * limits.lower_stop + [limits.upper] * limits.upper_stop
     margin = 0.0 if limits is None else AT_STOP_FRACTION * (limits.upper - limits.lower)
     held = []
     for record in records:
         samples_per_s = slow_clock_factor(record.step_s) / record.step_s
-        settling_samples, min_samples = round(settled_s * samples_per_s), round(SHORTEST_S * samples_per_s)
+        settling_samples, min_samples = round(SETTLED_S * samples_per_s), round(SHORTEST_S * samples_per_s)
+        settling_samples = max(settling_samples, round(RESPONSES * response_s / record.step_s))
         is_held = np.concatenate([[False], direction_signs(record, dead_zones) == 0, [False]])
         edges = np.flatnonzero(np.diff(is_held.astype(np.int64)))
         stretches = []

@@ -181,9 +181,8 @@ class OnlineAdaptation:
         if self._pending:  # the first answer, to model and settings, is to no stroke
             self._pending.popleft()
         changes = {direction: Changes(*values) for direction, values in content["changes"].items()}
-        if (
-            changes != self.changes
-        ):  # numbers stay the same object where nothing changed: `Live` looks at that
+        # Numbers stay the same object where nothing changed: `Live` looks at that.
+        if changes != self.changes:
             self.changes, self.numbers = changes, np.frombuffer(numbers)
         self._bands = content["bands"]
         return [Event.from_json(line) for line in content["events"]]

@@ -57,7 +57,7 @@ def alarm_threshold(strokes_between_alarms: float) -> float:
 
     Textbook thresholds are for normal errors of known scale. Here scale and mean are those of some twenty
     strokes, so that each simulated stream has its own, and its errors are of Student's t. The mean number is
-    over all streams, of a direction.
+    over all streams, of a direction, and at most `MOST_STROKES_BETWEEN`.
     """
     freedom = DEGREES_OF_FREEDOM
     rng = np.random.default_rng(0)

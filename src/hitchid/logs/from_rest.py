@@ -6,39 +6,45 @@ from hitchid._support.records import Notice, Severity
 from hitchid.errors import LogError
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.kinds import LEAD_IN_S, REST_S, strokes
-from hitchid.logs.record import Record
+from hitchid.logs.record import CYCLE, LIFTING, LOWERING, Record
 from hitchid.logs.resampling import AFTER_GAP
-from hitchid.logs.unification import left_out_notices, split_usable
+from hitchid.logs.unification import left_out_notices, refuse, split_usable
 
 FROM_REST = "from-rest"  # code of the notice of a part that was cut to begin at rest
 IN_MOTION = f"begins in motion after a gap; expected {REST_S:g} s without a command before a stroke"
 
 
-def from_rest(campaign: Campaign) -> tuple[Campaign, tuple[str, ...]]:
+def from_rest(campaign: Campaign, otherwise: str = "") -> tuple[Campaign, tuple[str, ...]]:
     """Return a campaign whose parts after gaps begin at rest, and notices of those that do not.
 
     Models start at rest. After a gap the piston has a speed, from commands that are lost: taken for a start
-    at rest, it makes gain and lag wrong, and their intervals narrow. Such parts are left out; where a kind
-    of test has no others, a model with a warning is worth more than none.
+    at rest, it makes gain and lag wrong, and their intervals narrow. Such parts are left out; where a
+    direction has no others, a warned result may be worth more than none.
+
+    Args:
+        campaign: its records.
+        otherwise: what is wrong where parts in motion are used for want of others, for the warning; without
+            it they are left out all the same.
 
     Raises:
-        InputError: the campaign is strict and a part is never at rest.
+        InputError: no test is left, or the campaign is strict and a part is never at rest.
     """
     parts = [(record.name, record) for record in campaign.records]
     usable, in_motion = split_usable(parts, _from_rest, strict=campaign.strict)
     rested = {record.name: record for record in usable}
-    without_rest = {record.kind for record in campaign.records} - {record.kind for record in usable}
+    # A ramp in motion shows no dead zone, for which tests do instead; a cycle is for want of both directions.
+    wanted = {LIFTING, LOWERING} if rested else {LIFTING, LOWERING, CYCLE}
+    lacking = wanted - {record.kind for record in usable} if otherwise else set()
     records = [rested.get(record.name, record) for record in campaign.records]
-    records = [record for record in records if record.name in rested or record.kind in without_rest]
+    records = [record for record in records if record.name in rested or record.kind in lacking]
+    if not records:
+        refuse(in_motion, "tests")
     used = {record.name for record in records}
     left_out = [item for item in in_motion if item.name not in used]
     notices = list(left_out_notices(left_out, len(parts), "tests"))
-    if without_rest:
-        names = ", ".join(record.name for record in records if record.kind in without_rest)
-        sentence = (
-            f"{IN_MOTION}; used for want of others: gain and lag may be wrong by more than their intervals"
-        )
-        notices.append(Notice(FROM_REST, sentence, names, Severity.WARNING))
+    if moving := sorted(used - rested.keys()):
+        sentence = f"{IN_MOTION}; used for want of others: {otherwise}"
+        notices.append(Notice(FROM_REST, sentence, ", ".join(moving), Severity.WARNING))
     return replace(campaign, records=tuple(records)), tuple(map(str, notices))
 
 

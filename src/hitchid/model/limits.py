@@ -40,8 +40,8 @@ class TravelLimits(NamedTuple):
         ]
         lowest, highest = min(low for low, _ in ranges), max(high for _, high in ranges)
         margin = MARGIN * (highest - lowest)
-        # Each direction finds its stop in tests of its own. In the wrong order they are where a plant balanced
-        # its command, and the tests of the other direction have passed them.
+        # Each direction finds its stop in tests of its own. In the wrong order they are where plants balance
+        # their command, and tests of the other direction have passed them.
         if {-1, 1} <= end_stops.keys() and end_stops[-1] >= end_stops[1]:
             end_stops = {}
         return cls(

@@ -48,7 +48,7 @@ def usable_tests(campaign: Campaign, *models: Hitch) -> tuple[Campaign, tuple[st
                     record.require(channel.benchmark.covariates)
         return record
 
-    campaign, in_motion = from_rest(campaign)
+    campaign, in_motion = from_rest(campaign, otherwise="errors contain the motion before")
     records = [(record.name, record) for record in campaign.records]
     usable, lacking = split_usable(records, complete, strict=campaign.strict)
     if lacking and not usable:
