@@ -119,6 +119,7 @@ def _network(compensator: Compensator, name: str) -> "onnx.ModelProto":
         helper.make_node("Add", ["product", "bias"], ["column"]),
         helper.make_node("Squeeze", ["column", "last"], ["innovation"]),
     ]
+    features = helper.make_tensor_value_info("features", TensorProto.DOUBLE, [1, len(COMPENSATOR_FEATURES)])
     inputs, outputs = (
         [helper.make_tensor_value_info(key, TensorProto.FLOAT, [1, size]) for key in keys]
         for keys in (("h", "c"), ("h_next", "c_next"))
@@ -126,10 +127,7 @@ def _network(compensator: Compensator, name: str) -> "onnx.ModelProto":
     graph = helper.make_graph(
         nodes,
         name,
-        [
-            helper.make_tensor_value_info("features", TensorProto.DOUBLE, [1, len(COMPENSATOR_FEATURES)]),
-            *inputs,
-        ],
+        [features, *inputs],
         [helper.make_tensor_value_info("innovation", TensorProto.FLOAT, [1]), *outputs],
         [numpy_helper.from_array(array, key) for key, array in constants.items()],
     )
