@@ -6,13 +6,18 @@ import numpy as np
 import pytest
 
 from handmade import DEAD_ZONES, hitch
+from hitchid import identify
 from hitchid.identification.campaign_job import cycle_errors, without_speed_compensators
 from hitchid.identification.hold_drift import SETTLED_S, SHORTEST_S, drift_is_shown, hold_drift, holds
+from hitchid.logs.campaign import Campaign
 from hitchid.model import TravelLimits
+from hitchid.structures import ModelSpec, structure_named
+from truth import held as response
 
 STEP_S = 0.01
 SETTLED, SHORTEST = round(SETTLED_S / STEP_S), round(SHORTEST_S / STEP_S)
 CREEP, NOISE = -0.4, 0.02
+GAIN, LAG_S = 60.0, 0.12  # mm/(s·A), s
 
 
 @pytest.fixture
@@ -78,6 +83,30 @@ def test_a_creep_is_shown_where_the_others_have_it(held, logs, creeps, shown):
 def test_nothing_held_shows_no_creep(held):
     assert not drift_is_shown([])
     assert not drift_is_shown(holds([held((300, 0.6, 0), (300, 0, 0.6))], DEAD_ZONES))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("creep", [CREEP, 0.0])
+def test_mixed_logs_that_creep_give_a_model_that_does(make_record, creep):
+    rng, logs = np.random.default_rng(0), []
+    for number in range(4):
+        sizes = rng.integers([50, 60, 150, 60, 150, 60, 150], [60, 120, 250, 120, 250, 120, 250])
+        signed = np.repeat([0.0, 0.7, 0.0, -0.6, 0.0, 0.9, 0.0], sizes)
+        travel = response([GAIN], [LAG_S, 1.0, 0.0], signed, STEP_S) + creep * np.cumsum(signed == 0) * STEP_S
+        noise = NOISE * rng.standard_normal(signed.size)
+        up, down = np.maximum(signed, 0.0), np.maximum(-signed, 0.0)
+        logs.append(make_record(100 + travel + noise, up, down, name=f"log-{number}"))
+    form, none = ModelSpec(structure_named("integrator-first-order")), {"lifting": 0.0, "lowering": 0.0}
+    model = identify(
+        Campaign.of(logs),
+        structure=form,
+        dead_zones=dict.fromkeys(DEAD_ZONES, 0.0),
+        training=None,
+        rivals=None,
+    ).model
+    # Four logs of three holds each; what is left of e⁻⁵ of a speed of some 50 mm/s fades within the holds.
+    assert model.drift == pytest.approx(creep, abs=0.05)
+    assert (model.drift == 0.0) is (creep == 0.0)
 
 
 @pytest.mark.parametrize("compensated", [True, False])
