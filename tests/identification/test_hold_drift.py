@@ -100,7 +100,7 @@ def test_mixed_logs_that_creep_give_a_model_that_does(make_record, creep):
     model = identify(
         Campaign.of(logs),
         structure=form,
-        dead_zones=dict.fromkeys(DEAD_ZONES, 0.0),
+        dead_zones=none,
         training=None,
         rivals=None,
     ).model
