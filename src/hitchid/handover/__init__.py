@@ -1,6 +1,6 @@
 """What a control engineer takes from a model: steady speed, its inverse, linear models, responses."""
 
-# A model hands itself over, so both rooms know each other: the model comes first, whoever is asked for first.
+# A model hands itself over, so the two rooms import each other: the model must come first.
 import hitchid.model  # noqa: F401
 from hitchid.handover.inverse import InverseTable as InverseTable
 from hitchid.handover.responses import FrequencyResponse as FrequencyResponse

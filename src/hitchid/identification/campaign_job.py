@@ -24,7 +24,7 @@ from hitchid.logs.campaign import Campaign
 from hitchid.logs.from_rest import from_rest
 from hitchid.logs.record import COMMAND, CYCLE, DISPLACEMENT, Record
 from hitchid.model import Channel, Hitch, Provenance, Rivals, TravelLimits
-from hitchid.structures import LinearStructure, ModelSpec
+from hitchid.structures import ModelSpec
 
 # Test of the compensators for free run on whole cycles, where each continues where the other one ended.
 
@@ -264,11 +264,10 @@ def _response_s(channel: Channel, trace: ChannelTrace) -> float | None:
 
     A plant without integrator goes back by itself: its way back is part of its model, and no drift.
     """
-    benchmark, uncertainty = channel.benchmark, trace.uncertainty
-    structure = benchmark.structure
-    if not isinstance(structure, LinearStructure) or uncertainty is None or not uncertainty.characteristics:
+    linear, uncertainty = channel.benchmark.structure.linear, trace.uncertainty
+    if linear is None or uncertainty is None or uncertainty.characteristics is None:
         return None
-    if structure.transfer_function(tuple(map(float, benchmark.values)))[1][-1] != 0:
+    if linear.transfer_function(tuple(channel.benchmark.values.tolist()))[1][-1] != 0:
         return None
     response = uncertainty.characteristics.response_time
     response_s = 0.0 if response is None else response.value
