@@ -13,22 +13,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid._support.inert import printable
-from hitchid._support.tables import (
+from hitchid._support.screen import (
     COLUMNS,
     HEIGHT,
     MARGIN,
     MAX_LINES,
     MAX_WIDTH,
     WIDTH,
-    DataTable,
-    Summary,
-    csv_files,
     first_notes,
     screen,
     shortened,
     sparkline,
-    stacked,
 )
+from hitchid._support.tables import DataTable, Table, csv_files, stacked
 from hitchid.errors import InputError
 
 
@@ -115,7 +112,7 @@ CELLS = st.text(max_size=200)
     notes=st.lists(CELLS, max_size=20),
 )
 def test_any_summary_fits_on_a_screen(title, rows, notes):
-    lines = Summary(title, ("a", "b", "c"), tuple(rows), tuple(notes)).text().splitlines()
+    lines = Table(title, ("a", "b", "c"), tuple(rows), tuple(notes)).text().splitlines()
     assert len(lines) <= MAX_LINES
     assert max(map(len, lines)) <= MAX_WIDTH
 
@@ -134,7 +131,7 @@ def test_a_text_is_shortened_on_one_line():
 
 
 def test_cells_are_escaped_in_html():
-    page = Summary("<a>", ("b",), (("<c>",),), ("d & e",)).html()
+    page = Table("<a>", ("b",), (("<c>",),), ("d & e",)).html()
     assert "<a>" not in page
     assert "<c>" not in page
     assert "d &amp; e" in page

@@ -12,7 +12,7 @@ from rich.table import Table as RichTable
 
 from hitchid._support import inert
 from hitchid._support.console import PlainConsole, line
-from hitchid._support.tables import DataTable, Summary
+from hitchid._support.tables import DataTable, Table
 from hitchid.errors import InputError
 from hitchid.logs.formats.text import write_rows
 from hostile import STRINGS, acts
@@ -96,7 +96,7 @@ def test_shown_text_has_no_terminal_sequence():
     console = PlainConsole(file=stream, width=80)
     console.print(content)
     console.print(*STRINGS)
-    stream.write(Summary("\x1b", ("\x1b", "x"), tuple((text, text) for text in STRINGS), STRINGS).text())
+    stream.write(Table("\x1b", ("\x1b", "x"), tuple((text, text) for text in STRINGS), STRINGS).text())
     stream.write(str(InputError("\n".join(STRINGS))))
     assert not {character for character in stream.getvalue() if acts(character)} - {"\n", "\t"}
     assert "[/bold]" in stream.getvalue()

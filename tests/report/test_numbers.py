@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hitchid.report import numbers
+from hitchid._support import numbers
 
 
 @pytest.mark.parametrize(

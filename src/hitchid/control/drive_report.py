@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from hitchid._support import checks
+from hitchid._support import checks, numbers
 from hitchid._support.tables import DataTable
 from hitchid.control.closed_loop import ClosedLoops
 from hitchid.control.drive import BASELINE, TESTED, Drive
@@ -26,7 +26,6 @@ from hitchid.report import (
     Table,
     Text,
     limits_section,
-    numbers,
     sentence,
 )
 from hitchid.validation import Acceptance, Check

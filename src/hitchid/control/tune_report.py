@@ -7,6 +7,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from hitchid._support import numbers
 from hitchid._support.tables import DataTable
 from hitchid.control.loops import (
     MAX_SENSITIVITY,
@@ -18,7 +19,7 @@ from hitchid.control.loops import (
 )
 from hitchid.control.tuning import OpenLoop, TrialRun, Tuning
 from hitchid.plots import COLOURS, FAINT, INK, PAGE_IN, legend_above, styled
-from hitchid.report import Document, Finding, Picture, Pictures, Rating, ReportSection, Table, Text, numbers
+from hitchid.report import Document, Finding, Picture, Pictures, Rating, ReportSection, Table, Text
 
 # Figures of a tuned controller: its open loop with what the tests leave open, and steps on drawn models.
 

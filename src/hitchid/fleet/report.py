@@ -5,6 +5,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from hitchid._support import numbers
 from hitchid._support.tables import Cell, DataTable
 from hitchid.fleet import figures as figures
 from hitchid.fleet.comparison import FleetComparison, comparison_metrics
@@ -20,7 +21,7 @@ from hitchid.fleet.findings import (
 from hitchid.fleet.outliers import FleetTrends
 from hitchid.fleet.parameters import FleetParameter, listed
 from hitchid.fleet.row import Row
-from hitchid.report import Block, Document, Picture, Pictures, ReportSection, Table, Text, numbers, sentence
+from hitchid.report import Block, Document, Picture, Pictures, ReportSection, Table, Text, sentence
 
 MOST_LINES = 100  # of a table of machines; chosen: the data tables have all
 MEGABYTE = 1e6  # bytes

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from hitchid._support import checks
 from hitchid._support.checks import named_arguments
 from hitchid._support.precision import double_precision
-from hitchid._support.tables import Summarised, Summary
+from hitchid._support.tables import Summarised, Table
 from hitchid.errors import InputError
 from hitchid.handover.inverse import InverseTable, make_inverse_table
 from hitchid.handover.responses import Banded, FrequencyResponse, checked_frequencies_hz, response_of
@@ -140,7 +140,7 @@ class Linearisation(Summarised):
     def _signed(self, model: LinearModel) -> LinearModel:
         return LinearModel(model.a, model.b, self.sign * model.c, model.step_s)
 
-    def _summary(self) -> Summary:
+    def _summary(self) -> Table:
         unit, command_unit = self.units[DISPLACEMENT], self.units[COMMAND[self.direction]]
         load = "".join(
             f", {name} {value:.4g} {self.units.get(name, '')}" for name, value in self.load.items()
@@ -154,7 +154,7 @@ class Linearisation(Summarised):
             f"Linear model of {self.direction} at {self.command:.4g} {command_unit}, "
             f"{self.displacement:.4g} {unit}{load}"
         )
-        return Summary(title, ("quantity", "value", "95 %"), rows)
+        return Table(title, ("quantity", "value", "95 %"), rows)
 
 
 @double_precision

@@ -11,9 +11,11 @@ import numpy as np
 
 from hitchid._support import checks
 from hitchid._support.inert import html_text
+from hitchid._support.numbers import count
 from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
-from hitchid._support.tables import Summary, count, dataframe, screen, sparkline
+from hitchid._support.screen import screen, sparkline
+from hitchid._support.tables import Table, dataframe
 from hitchid.errors import InputError
 from hitchid.logs.record import COMMAND, DISPLACEMENT
 from hitchid.model.channel import Channel
@@ -221,7 +223,7 @@ def _end(value: float | None) -> str:
 # What a model shows of itself: structure, parameters with units and errors, corrections.
 
 
-def hitch_summary(hitch: "Hitch") -> Summary:
+def hitch_summary(hitch: "Hitch") -> Table:
     """Return sampling time, units, and for each direction its structure and parameters."""
     units = ", ".join(f"{role} in {unit}" for role, unit in hitch.units.items())
     notes = [] if hitch.two_modes is None else [hitch.two_modes.sentence]
@@ -236,7 +238,7 @@ def hitch_summary(hitch: "Hitch") -> Summary:
         points = uncertainty.characteristics.speed_map
         speeds = np.array([point.speed for point in points if point.load == points[0].load])
         maps.append(sparkline([speeds], f"steady speed over the {direction} command"))
-    return Summary(
+    return Table(
         f"Hitch at {hitch.step_s:g} s: {units}",
         ("direction", "structure", "parameters"),
         tuple(

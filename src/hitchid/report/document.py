@@ -12,6 +12,8 @@ from matplotlib.figure import Figure
 
 from hitchid._support.records import short_repr
 from hitchid._support.tables import DataTable
+from hitchid._support.tables import Faint as Faint
+from hitchid._support.tables import Table as Table
 from hitchid.report.svg import svg
 from hitchid.validation import Check, Predictions
 
@@ -30,27 +32,6 @@ class Finding(NamedTuple):
 
     level: Rating
     sentence: str
-
-
-class Faint(str):
-    """A cell of a table in grey: the best-fit value of what the tests do not determine."""
-
-    __slots__ = ()
-
-
-@short_repr
-class Table(NamedTuple):
-    """One table: a title, a header, and rows of text with names in the first column."""
-
-    title: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-
-    @property
-    def numeric(self) -> list[bool]:
-        """Whether each column contains numbers."""
-        columns = zip(*self.rows, strict=True) if self.rows else [()] * len(self.header)
-        return [any(column) and all(map(_is_number, column)) for column in columns]
 
 
 @short_repr
@@ -227,7 +208,3 @@ class Renderer(ABC):
 def sentence(notice: str) -> str:
     """Return a notice with an initial capital and a full stop."""
     return f"{notice[:1].upper()}{notice[1:]}."
-
-
-def _is_number(cell: str) -> bool:
-    return cell in ("diverged", "any") or not any(letter.isalpha() for letter in cell.replace("e", ""))

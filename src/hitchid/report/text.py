@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 from rich import box
-from rich.table import Table as RichTable
 
-from hitchid._support.console import PlainConsole, line
+from hitchid._support.console import PlainConsole, line, rich_table
 from hitchid._support.files import canonical_json
 from hitchid._support.inert import markdown_text, printable, xml_bytes
 from hitchid._support.tables import Cell
@@ -54,22 +53,6 @@ class Terminal(Renderer):
         for table in document.summary:
             console.print(rich_table(table, kind=box.SIMPLE_HEAD))
         return stream.getvalue().encode("utf-8", errors="replace")
-
-
-def rich_table(table: Table, *, kind: box.Box = box.HEAVY_HEAD) -> RichTable:
-    """Return a table for rich; columns of numbers are aligned on the right."""
-    content = RichTable(
-        title=table.title or None,
-        title_justify="left",
-        title_style="bold",
-        box=kind,
-        pad_edge=bool(table.title),
-    )
-    for name, right in zip(table.header, table.numeric, strict=True):
-        content.add_column(name, justify="right" if right else "left")
-    for row in table.rows:
-        content.add_row(*row)
-    return content
 
 
 # Acceptance limits as JUnit XML, for build servers.

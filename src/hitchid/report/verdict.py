@@ -4,9 +4,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from hitchid._support import numbers
 from hitchid.model import Estimates
 from hitchid.model.estimates import NOT_ASSESSED
-from hitchid.report import numbers
 from hitchid.report.document import Finding, Findings, Rating, ReportSection, Table
 from hitchid.validation import Acceptance, Accuracy, BandFigures, ChannelResult, Check, Validation
 from hitchid.validation.results import BENCHMARK, CYCLES, FREE_RUN, GREYBOX, MIN_TESTS, model_name

@@ -13,7 +13,7 @@ from hitchid._support import checks
 from hitchid._support.files import canonical_json
 from hitchid._support.progress import ProgressCallback, silent, subtask_progress
 from hitchid._support.records import Value
-from hitchid._support.tables import DataTable, Summarised, Summary, csv_files, stacked
+from hitchid._support.tables import DataTable, Summarised, Table, csv_files, stacked
 from hitchid.errors import InputError
 from hitchid.logs.campaign import Campaign
 from hitchid.model import Hitch
@@ -207,7 +207,7 @@ class ModelComparison(Value, Summarised):
             **csv_files(self.tables().values()),
         }
 
-    def _summary(self) -> Summary:
+    def _summary(self) -> Table:
         rows, notes = [], []
         for section in self.sections:
             by_label = dict(zip(self.labels, self.accuracy(section), strict=True))

@@ -7,8 +7,10 @@ from string import ascii_uppercase
 import numpy as np
 
 from hitchid._support.metrics import SIGNIFICANCE, better_p_value, error_figures, rmse_error
+from hitchid._support.numbers import count, digits
 from hitchid._support.records import Value, short_repr
-from hitchid._support.tables import Summary, count, sparkline
+from hitchid._support.screen import sparkline
+from hitchid._support.tables import Table
 from hitchid.baselines.registry import BASELINES, all_baselines
 from hitchid.logs.record import COMMAND, Record
 from hitchid.model import Characteristics, Estimates, LoadScatter, SearchSummary
@@ -356,23 +358,13 @@ class Accuracy:
         return self.free_run() == self.free_run(BENCHMARK)
 
 
-DIVERGED = "diverged"
-
-
-def value_text(value: float | None, error: float | None = None) -> str:
-    """Return a value with its standard error, as on a screen; None is a run that diverged."""
-    if value is None:
-        return DIVERGED
-    return f"{value:.4g}" if error is None else f"{value:.4g} ± {error:.2g}"
-
-
 def errors_summary(
     title: str,
     unit: str,
     accuracies: Mapping[str, Accuracy],
     rows: Iterable[tuple[str, str, ModelFigures, Accuracy | None]],
     notes: tuple[str, ...],
-) -> Summary:
+) -> Table:
     """Return the main figures of models, as a validation and a comparison show them."""
     tests = ", ".join(
         count(len(accuracy.tests), "unseen cycle" if section == CYCLES else f"unseen {section} test")
@@ -381,8 +373,8 @@ def errors_summary(
     cells, pictures = [], []
     for section, name, figures, pictured in rows:
         step, free = figures.one_step, figures.free_run
-        errors = ("", "", "") if free is None else map(value_text, (free.rmse, free.fit, free.max_abs))
-        cells.append((section, name, "" if step is None else value_text(step.rmse), *errors))
+        errors = ("", "", "") if free is None else map(digits, (free.rmse, free.fit, free.max_abs))
+        cells.append((section, name, "" if step is None else digits(step.rmse), *errors))
         picture = ""
         if pictured is not None:
             shown = pictured.predictions
@@ -391,7 +383,7 @@ def errors_summary(
             picture = sparkline([measured, predicted], label_text, [measured, measured])
         pictures.append(picture)
     header = (f"RMSE one step / {unit}", f"RMSE free run / {unit}", "fit / %", f"largest / {unit}")
-    return Summary(f"{title} {tests}", ("direction", "model", *header), tuple(cells), notes, tuple(pictures))
+    return Table(f"{title} {tests}", ("direction", "model", *header), tuple(cells), notes, tuple(pictures))
 
 
 @short_repr
