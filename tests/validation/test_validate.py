@@ -15,8 +15,8 @@ from hitchid.logs.campaign import Campaign
 from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.model import Provenance, SearchSummary, TwoModes, remove_padding
 from hitchid.validation import compare, validate
-from hitchid.validation.cycles import ORIGIN_STRIDE
 from hitchid.validation.results import NAMES
+from hitchid.validation.validate import ORIGIN_STRIDE
 from truth import STEP_S, levels
 
 SIZES = (200, 150, 180)

@@ -202,7 +202,7 @@ def number_column(key: str, label: str, value: Callable[[Any], Any]) -> Column:
 
 
 def interval_columns(
-    key: str, label: str, interval: Callable[[Any], Any], text: Callable[[Any], str]
+    key: str, label: str, interval: Callable[[Any], Any], text: Callable[[Any], str] | None = None
 ) -> tuple[Column, ...]:
     """Return an interval as a column for each end in files, one column on pages.
 
@@ -210,12 +210,12 @@ def interval_columns(
         key: name in files, `{}` for `lower` and `upper`.
         label: heading on pages.
         interval: record to the two ends; None where it has no interval.
-        text: record to the cell on pages.
+        text: record to the cell on pages; the interval where it is left out.
     """
     return (
         Column(key.replace("{}", "lower", 1), value=lambda record: (interval(record) or (None, None))[0]),
         Column(key.replace("{}", "upper", 1), value=lambda record: (interval(record) or (None, None))[1]),
-        Column(label=label, text=text),
+        Column(label=label, text=text or (lambda record: numbers.interval(interval(record)))),
     )
 
 

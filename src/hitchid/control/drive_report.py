@@ -25,8 +25,10 @@ from hitchid.report import (
     ReportSection,
     Table,
     Text,
+    command_section,
     limits_section,
     sentence,
+    worst_first,
 )
 from hitchid.validation import Acceptance, Check
 
@@ -196,7 +198,7 @@ def drive_report(
             ReportSection("Beside the baselines", beside),
             ReportSection("Margins", (Text(MARGINS), _margin_table(margins))),
             ReportSection("Scenarios", (Pictures(pictures),)),
-            ReportSection("How to reproduce", (Table("Origin", ("what", "value"), (("command", command),)),)),
+            command_section(command),
         ),
         summary=(_summary(result),),
         checks=() if acceptance is None else acceptance.checks,
@@ -215,9 +217,6 @@ MARGINS = (
     "Margins that 95 % of the models with drawn parameters keep at nine operating points, as written by "
     "`hitchid tune`. They hold for errors of the parameters, not for dynamics that the model does not have."
 )
-
-
-ORDER = (Rating.BAD, Rating.CAUTION, Rating.GOOD)  # of findings
 
 
 def drive_verdict(result: Drive, acceptance: Acceptance | None = None) -> tuple[Finding, ...]:
@@ -279,7 +278,7 @@ def drive_verdict(result: Drive, acceptance: Acceptance | None = None) -> tuple[
         share = sum(inside.values()) / len(inside)
         text = f"{100 * share:.0f} % of the loops are inside the band that the identified model predicts."
         judge(share >= 0.85, text)
-    return tuple(sorted(findings, key=lambda finding: ORDER.index(finding.level)))
+    return worst_first(findings)
 
 
 def _header(unit: str) -> tuple[str, ...]:

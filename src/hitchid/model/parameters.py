@@ -1,8 +1,9 @@
 """Parameters of a model: as a table, as what a model shows of itself, and set by hand."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from math import inf, isclose, log
+from operator import attrgetter
 from typing import TYPE_CHECKING, overload
 
 import equinox as eqx
@@ -15,7 +16,7 @@ from hitchid._support.numbers import count
 from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
 from hitchid._support.screen import screen, sparkline
-from hitchid._support.tables import Table, dataframe
+from hitchid._support.tables import Column, RecordTable, Table, interval_columns
 from hitchid.errors import InputError
 from hitchid.logs.record import COMMAND, DISPLACEMENT
 from hitchid.model.channel import Channel
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 DEAD_ZONE = Parameter("dead_zone", "{u}", 0.0, 1.0, linear=True, symbol="dead zone")
 SET_BY_HAND, NO_INTERVAL, NO_DEAD_TIME = "set by hand", "no interval", "not part of the model"
 MAX_VERDICT = 44  # characters of a verdict in a table as text; chosen
-HEADER = ("direction", "name", "symbol", "value", "unit", "standard error", "95 %", "verdict")
 
 
 @short_repr
@@ -58,6 +58,33 @@ class ParameterRow:
     standard_error: float | None
     interval: Interval
     verdict: str
+
+
+def _interval_text(row: ParameterRow) -> str:
+    if row.interval == (None, None):
+        return ""
+    return " … ".join("?" if end is None else f"{end:.4g}" for end in row.interval)
+
+
+def _verdict_text(row: ParameterRow) -> str:
+    return row.verdict if len(row.verdict) <= MAX_VERDICT else f"{row.verdict[: MAX_VERDICT - 1]}…"
+
+
+COLUMNS = (
+    Column("direction", "direction", attrgetter("direction")),
+    Column("name", "name", attrgetter("name")),
+    Column("symbol", "symbol", attrgetter("symbol")),
+    Column("value", "value", attrgetter("value"), lambda row: f"{row.value:.5g}"),
+    Column("unit", "unit", attrgetter("unit")),
+    Column(
+        "standard_error",
+        "standard error",
+        attrgetter("standard_error"),
+        lambda row: "" if row.standard_error is None else f"{row.standard_error:.2g}",
+    ),
+    *interval_columns("{}", "95 %", attrgetter("interval"), _interval_text),
+    Column("verdict", "verdict", attrgetter("verdict"), _verdict_text),
+)
 
 
 @dataclass(frozen=True, repr=False)
@@ -105,16 +132,11 @@ class ParameterTable(Sequence[ParameterRow]):
         Raises:
             InputError: pandas is not installed.
         """
-        rows = []
-        for row in self.rows:
-            cells = asdict(row)
-            lower, upper = cells.pop("interval")
-            verdict = cells.pop("verdict")
-            rows.append({**cells, "lower": lower, "upper": upper, "verdict": verdict})
-        return dataframe(rows)
+        return RecordTable("parameters", "", COLUMNS, self.rows).data().to_dataframe()
 
     def __repr__(self) -> str:
-        cells = [HEADER, *map(_cells, self.rows)]
+        shown = RecordTable("parameters", "", COLUMNS, self.rows).shown()
+        cells = [shown.header, *shown.rows]
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         lines = [
             "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
@@ -123,9 +145,10 @@ class ParameterTable(Sequence[ParameterRow]):
         return screen(["ParameterTable", *lines])
 
     def _repr_html_(self) -> str:
-        head = "".join(f"<th>{html_text(cell)}</th>" for cell in HEADER)
+        shown = RecordTable("parameters", "", COLUMNS, self.rows).shown()
+        head = "".join(f"<th>{html_text(cell)}</th>" for cell in shown.header)
         body = "".join(
-            f"<tr>{''.join(f'<td>{html_text(cell)}</td>' for cell in _cells(row))}</tr>" for row in self.rows
+            f"<tr>{''.join(f'<td>{html_text(cell)}</td>' for cell in row)}</tr>" for row in shown.rows
         )
         return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
@@ -206,18 +229,6 @@ def _rows(
             interval,
             SET_BY_HAND if name in set_by_hand else verdict,
         )
-
-
-def _cells(row: ParameterRow) -> tuple[str, ...]:
-    lower, upper = row.interval
-    ends = "" if row.interval == (None, None) else f"{_end(lower)} … {_end(upper)}"
-    verdict = row.verdict if len(row.verdict) <= MAX_VERDICT else f"{row.verdict[: MAX_VERDICT - 1]}…"
-    error = "" if row.standard_error is None else f"{row.standard_error:.2g}"
-    return row.direction, row.name, row.symbol, f"{row.value:.5g}", row.unit, error, ends, verdict
-
-
-def _end(value: float | None) -> str:
-    return "?" if value is None else f"{value:.4g}"
 
 
 # What a model shows of itself: structure, parameters with units and errors, corrections.

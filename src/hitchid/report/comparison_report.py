@@ -21,6 +21,7 @@ from hitchid.report.document import (
     Table,
     sentence,
 )
+from hitchid.report.origin import command_section
 from hitchid.validation import Horizons, LeaderboardRow, ModelComparison, Standing
 from hitchid.validation.estimate_tables import estimate_text
 from hitchid.validation.results import CYCLES, GREYBOX, MIN_TESTS, PERSISTENCE, RUNS, shown_tests
@@ -141,7 +142,7 @@ def comparison_report(comparison: ModelComparison, *, command: str = "") -> Docu
         sections=(
             *(_section(comparison, section) for section in comparison.sections),
             *([ReportSection("Parameters", tuple(parameters))] if parameters else []),
-            ReportSection("How to reproduce", (Table("Origin", ("what", "value"), (("command", command),)),)),
+            command_section(command),
         ),
         summary=tuple(_summary(comparison, section) for section in comparison.sections),
         data=comparison.metrics,

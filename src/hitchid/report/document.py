@@ -1,7 +1,7 @@
 """Document model of a report: findings, text, tables and figures in sections; the protocol of a renderer."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
@@ -32,6 +32,14 @@ class Finding(NamedTuple):
 
     level: Rating
     sentence: str
+
+
+WORST_FIRST = (Rating.BAD, Rating.CAUTION, Rating.GOOD)
+
+
+def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return findings, the bad ones first; those of one rating stay in their order."""
+    return tuple(sorted(findings, key=lambda finding: WORST_FIRST.index(finding.level)))
 
 
 @short_repr

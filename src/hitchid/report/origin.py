@@ -88,6 +88,11 @@ def _trace_pictures(context: DirectionContext, trace: ChannelTraceFile) -> Itera
         )
 
 
+def command_section(command: str) -> ReportSection:
+    """Return the section on reproducing a result that its command line alone gives again."""
+    return ReportSection("How to reproduce", (Table("Origin", ("what", "value"), (("command", command),)),))
+
+
 def origin_section(source: Origin, command: str) -> ReportSection:
     """Return the section on reproducing the result: origin of the model, command of the report."""
     provenance, current_versions = source.provenance, source.versions

@@ -97,12 +97,7 @@ def characteristic_table(direction: str, characteristics: Characteristics) -> Re
         Column("quantity", "quantity", itemgetter(0), lambda record: QUANTITY_TITLES[record[0]]),
         Column("unit", "unit", itemgetter(2)),
         Column("value", "value", lambda record: record[1].value, lambda record: estimate_text(record[1])),
-        *interval_columns(
-            "interval_95_{}",
-            "95 %",
-            lambda record: record[1].interval,
-            lambda record: numbers.interval(record[1].interval),
-        ),
+        *interval_columns("interval_95_{}", "95 %", lambda record: record[1].interval),
         Column(
             "determined",
             "verdict",
@@ -133,12 +128,7 @@ def speed_map_table(direction: str, characteristics: Characteristics, *, load_un
             _field("speed"),
             lambda point: determined_text(point.speed, determined=point.determined),
         ),
-        *interval_columns(
-            f"interval_95_{{}}_{speed_unit}",
-            "95 %",
-            _field("interval"),
-            lambda point: numbers.interval(point.interval),
-        ),
+        *interval_columns(f"interval_95_{{}}_{speed_unit}", "95 %", _field("interval")),
         Column("determined", "verdict", _field("determined"), verdict_text),
     )
     title = f"{direction}: speed map, at mid stroke"

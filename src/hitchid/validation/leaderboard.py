@@ -76,16 +76,7 @@ class LeaderboardRow:
             "model": self.label,
             "name": self.name,
             "tests": self.tests,
-            **{
-                run: {
-                    "rmse": figures.rmse,
-                    "rmse_error": figures.rmse_error,
-                    "fit": figures.fit,
-                    "fit_error": figures.fit_error,
-                }
-                for run, figures in runs.items()
-                if figures is not None
-            },
+            **{run: figures.main for run, figures in runs.items() if figures is not None},
             "horizons": {
                 "steps": list(self.horizons),
                 "rmse": [rmse for rmse, _ in self.horizons.values()],

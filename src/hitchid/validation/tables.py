@@ -1,7 +1,7 @@
 """Tables of a validation: what an error, an estimate, a band looks like, on every page and in every file."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import Any
 
 import numpy as np
@@ -206,13 +206,13 @@ def band_table(section: str, bands: BandFigures, unit: str) -> RecordTable:
 def log_table(logs: Sequence[LogUse]) -> RecordTable:
     """Return the logs of a campaign and their use."""
     columns = (
-        Column("log", "log", lambda log: log.name),
-        Column("kind", "kind", lambda log: log.kind),
-        Column("used_as", "used as", lambda log: log.used_as),
-        Column("samples", "samples", lambda log: log.samples),
-        number_column("step_s", "step / s", lambda log: log.step_s),
-        number_column("duration_s", "duration / s", lambda log: log.duration_s),
-        Column("sha256_start", f"SHA-256, first {HASH_DIGITS}", lambda log: log.digest),
+        Column("log", "log", attrgetter("name")),
+        Column("kind", "kind", attrgetter("kind")),
+        Column("used_as", "used as", attrgetter("used_as")),
+        Column("samples", "samples", attrgetter("samples")),
+        number_column("step_s", "step / s", attrgetter("step_s")),
+        number_column("duration_s", "duration / s", attrgetter("duration_s")),
+        Column("sha256_start", f"SHA-256, first {HASH_DIGITS}", attrgetter("digest")),
     )
     return RecordTable("logs", f"{len(logs)} logs", columns, tuple(logs))
 
