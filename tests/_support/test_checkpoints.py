@@ -381,10 +381,10 @@ def test_a_resumed_run_ends_in_the_same_model(whole, campaign, quick_settings, t
 @pytest.fixture(scope="module")
 def begun(campaign, quick_settings, tmp_path_factory):
     """Return the folder of a run that was stopped before anything was found."""
-    place = tmp_path_factory.mktemp("begun")
-    stopped_after(0, campaign, quick_settings, place)
-    assert not has_results(place / "kept")
-    return place / "kept"
+    folder = tmp_path_factory.mktemp("begun")
+    stopped_after(0, campaign, quick_settings, folder)
+    assert not has_results(folder / "kept")
+    return folder / "kept"
 
 
 BEGUN_FROM = AutoStructure(ModelSpec(structure_named("integrator"), bounds={"gain": (1.0, 2.0)}))

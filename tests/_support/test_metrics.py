@@ -219,8 +219,8 @@ def test_the_standard_error_is_what_campaigns_drawn_anew_show():
     draws = [[rng.standard_normal(20) for _ in range(16)] for _ in range(2000)]
     zeros = [np.zeros(20)] * 16
     figures = [np.sqrt(np.mean(np.square(draw))) for draw in draws]
-    told = np.sqrt(np.mean([rmse_error(zeros, draw) ** 2 for draw in draws]))
-    assert told == pytest.approx(np.std(figures), rel=0.08)
+    estimated = np.sqrt(np.mean([rmse_error(zeros, draw) ** 2 for draw in draws]))
+    assert estimated == pytest.approx(np.std(figures), rel=0.08)
 
 
 @pytest.mark.parametrize("tests", [3, 5, 20])

@@ -336,14 +336,14 @@ for write in (
 
 @pytest.mark.skipif(os.name == "nt", reason="there are no such limits")
 def test_a_file_that_cannot_grow_leaves_all_as_it_was(tmp_path):
-    place = tmp_path / "place"
-    write_folder(place / "folder", lambda beside: (beside / "mark").touch(), result_kind="mark", force=False)
-    (place / "file").write_text("old")
-    before = {path: path.read_bytes() for path in place.rglob("*") if path.is_file()}
-    command = [sys.executable, "-c", WRITE_TOO_MUCH, str(place)]
+    target = tmp_path / "place"
+    write_folder(target / "folder", lambda beside: (beside / "mark").touch(), result_kind="mark", force=False)
+    (target / "file").write_text("old")
+    before = {path: path.read_bytes() for path in target.rglob("*") if path.is_file()}
+    command = [sys.executable, "-c", WRITE_TOO_MUCH, str(target)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
     of_file, of_folder = done.stdout.splitlines()
-    assert of_file.startswith(f"{place / 'file'}: cannot be written: ")
-    assert of_folder.startswith(f"{place / 'folder'}: cannot be written: ")
-    assert {path: path.read_bytes() for path in place.rglob("*") if path.is_file()} == before
-    assert left_in(place) == ["file", "folder", f"folder/{MANIFEST_FILE}", "folder/mark"]
+    assert of_file.startswith(f"{target / 'file'}: cannot be written: ")
+    assert of_folder.startswith(f"{target / 'folder'}: cannot be written: ")
+    assert {path: path.read_bytes() for path in target.rglob("*") if path.is_file()} == before
+    assert left_in(target) == ["file", "folder", f"folder/{MANIFEST_FILE}", "folder/mark"]

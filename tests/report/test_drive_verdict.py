@@ -24,8 +24,8 @@ def by_name():
 def verdict(by_name, own, rival):
     """Return the ratings and the text of the verdict on two controllers."""
     drive = Drive(by_name, {}, {TESTED: own, BASELINE: rival, COMPENSATED: rival}, {}, {})
-    found = drive_verdict(drive)
-    return [finding.level for finding in found], "\n".join(finding.sentence for finding in found)
+    findings = drive_verdict(drive)
+    return [finding.level for finding in findings], "\n".join(finding.sentence for finding in findings)
 
 
 def test_a_drive_without_a_fault_has_no_other_line_than_good(by_name):

@@ -17,15 +17,15 @@ def document():
 
 @pytest.fixture(scope="module")
 def folder(document, tmp_path_factory):
-    place = tmp_path_factory.mktemp("figures") / "out"
-    write_report(place, document, {"metrics.json": b"{}"}, mark="metrics.json")
-    return place / "figures"
+    out = tmp_path_factory.mktemp("figures") / "out"
+    write_report(out, document, {"metrics.json": b"{}"}, mark="metrics.json")
+    return out / "figures"
 
 
 def columns(path):
     with path.open() as file:
         header, *rows = csv.reader(file)
-    return {name: [row[place] for row in rows] for place, name in enumerate(header)}
+    return {name: [row[column] for row in rows] for column, name in enumerate(header)}
 
 
 def test_every_figure_of_a_report_has_its_data_beside_it(document, folder):

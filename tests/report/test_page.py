@@ -268,5 +268,5 @@ def test_columns_of_numbers_stand_right_head_and_cells(root):
     ],
 )
 def test_a_column_of_numbers_has_numbers_only(cells, right):
-    found = Table("", ("name", "value"), tuple(("row", cell) for cell in cells)).numeric
-    assert found == [False, right]
+    is_numeric = Table("", ("name", "value"), tuple(("row", cell) for cell in cells)).numeric
+    assert is_numeric == [False, right]

@@ -61,12 +61,12 @@ def test_rounding_moves_no_point_by_more_than_a_hundredth():
     axes.set_axis_off()
     axes.set_xlim(0, 1)
     axes.set_ylim(0, 1)
-    place = np.array([0.1234567, 0.7654321])
-    axes.plot(place, place)
+    points = np.array([0.1234567, 0.7654321])
+    axes.plot(points, points)
     # The curve is drawn last, upon the paper.
     *_, line = re.findall(r'd="M ([\d.]+) ([\d.]+) *\n?L ([\d.]+) ([\d.]+)', svg(figure))
     # One inch is 72 pt, and the axis of SVG points down.
-    expected = [72 * place[0], 72 * (1 - place[0]), 72 * place[1], 72 * (1 - place[1])]
+    expected = [72 * points[0], 72 * (1 - points[0]), 72 * points[1], 72 * (1 - points[1])]
     np.testing.assert_allclose(np.array(line, dtype=float), expected, rtol=0, atol=0.0051)
 
 

@@ -134,11 +134,11 @@ def _determined(channel: ChannelResult) -> Iterator[str]:
         )
     if channel.characteristics is not None:
         points = channel.characteristics.speed_map
-        known = sum(point.determined for point in points)
+        determined = sum(point.determined for point in points)
         yield (
             "the speed map is determined"
-            if known == len(points)
-            else f"the speed map is determined at {known} of {numbers.count(len(points), 'point')}"
+            if determined == len(points)
+            else f"the speed map is determined at {determined} of {numbers.count(len(points), 'point')}"
         )
 
 

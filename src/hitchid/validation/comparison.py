@@ -174,7 +174,10 @@ class ModelComparison(Value, Summarised):
             "unit": self.unit,
             "left_out": self.left_out,
             "models": dict(zip(self.labels, self.names, strict=True)),
-            **{label: each.metrics for label, each in zip(self.labels, self.validations, strict=True)},
+            **{
+                label: validation.metrics
+                for label, validation in zip(self.labels, self.validations, strict=True)
+            },
             "better": {section: self.verdict(section).better for section in self.sections},
             "leaderboard": {
                 section: [row.describe() for row in leaderboard.section(section)] for section in self.sections
