@@ -3,7 +3,9 @@
 import csv
 import io
 import re
+from dataclasses import replace
 from math import isnan
+from operator import itemgetter
 from xml.etree import ElementTree
 
 import numpy as np
@@ -25,7 +27,16 @@ from hitchid._support.screen import (
     shortened,
     sparkline,
 )
-from hitchid._support.tables import DataTable, Table, csv_files, stacked
+from hitchid._support.tables import (
+    Column,
+    DataTable,
+    RecordTable,
+    Table,
+    csv_files,
+    interval_columns,
+    number_column,
+    stacked,
+)
 from hitchid.errors import InputError
 
 
@@ -99,6 +110,24 @@ def test_each_table_is_a_file_of_its_name():
 
 def test_a_table_shows_its_name_columns_and_number_of_rows():
     assert repr(DataTable("t", ("a", "b"), ((1, 2),))) == "DataTable('t': 1 rows of a, b)"
+
+
+def test_one_list_of_columns_is_text_on_pages_and_data_in_files():
+    columns = (
+        Column("test", "test", itemgetter(0), lambda record: record[0].upper()),
+        number_column("rmse_mm", "RMSE / mm", itemgetter(1)),
+        *interval_columns("interval_{}_mm", "95 %", itemgetter(2)),
+        Column("white", value=lambda record: True),
+    )
+    records = (("up-1", 1 / 3, (0.1, None)), ("up-2", None, None))
+    table = RecordTable("tests", "errors", columns, records[:1], file_records=records[1:])
+    assert table.shown() == Table("errors", ("test", "RMSE / mm", "95 %"), (("UP-1", "0.3333", "> 0.1"),))
+    assert read(table.data()) == [
+        ["test", "rmse_mm", "interval_lower_mm", "interval_upper_mm", "white"],
+        ["up-1", repr(1 / 3), "0.1", "", "true"],
+        ["up-2", "", "", "", "true"],
+    ]
+    assert replace(table, records=(), file_records=()).data().columns == ()
 
 
 # --- summaries: at most one screen -----------------------------------------------------------------------
