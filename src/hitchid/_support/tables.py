@@ -196,6 +196,16 @@ class Column:
         return str(self.value(record)) if self.text is None else self.text(record)
 
 
+def field_of(name: str) -> Callable[[Any], Any]:
+    """Return a function for a field of a record, which is None where the record has no such field."""
+    return lambda record: getattr(record, name, None)
+
+
+def field_column(name: str, label: str | None = None, text: Callable[[Any], str] | None = None) -> Column:
+    """Return a column of a field, called by the field's name in files and, without a label, on pages."""
+    return Column(name, name if label is None else label, field_of(name), text)
+
+
 def number_column(key: str, label: str, value: Callable[[Any], Any]) -> Column:
     """Return a column of numbers, on pages to four digits."""
     return Column(key, label, value, lambda record: numbers.digits(value(record)))

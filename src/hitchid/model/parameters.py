@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isclose, log
-from operator import attrgetter
 from typing import TYPE_CHECKING, overload
 
 import equinox as eqx
@@ -16,7 +15,7 @@ from hitchid._support.numbers import count
 from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
 from hitchid._support.screen import screen, sparkline
-from hitchid._support.tables import Column, RecordTable, Table, interval_columns
+from hitchid._support.tables import RecordTable, Table, field_column, field_of, interval_columns
 from hitchid.errors import InputError
 from hitchid.logs.record import COMMAND, DISPLACEMENT
 from hitchid.model.channel import Channel
@@ -71,19 +70,16 @@ def _verdict_text(row: ParameterRow) -> str:
 
 
 COLUMNS = (
-    Column("direction", "direction", attrgetter("direction")),
-    Column("name", "name", attrgetter("name")),
-    Column("symbol", "symbol", attrgetter("symbol")),
-    Column("value", "value", attrgetter("value"), lambda row: f"{row.value:.5g}"),
-    Column("unit", "unit", attrgetter("unit")),
-    Column(
+    *map(field_column, ("direction", "name", "symbol")),
+    field_column("value", text=lambda row: f"{row.value:.5g}"),
+    field_column("unit"),
+    field_column(
         "standard_error",
         "standard error",
-        attrgetter("standard_error"),
         lambda row: "" if row.standard_error is None else f"{row.standard_error:.2g}",
     ),
-    *interval_columns("{}", "95 %", attrgetter("interval"), _interval_text),
-    Column("verdict", "verdict", attrgetter("verdict"), _verdict_text),
+    *interval_columns("{}", "95 %", field_of("interval"), _interval_text),
+    field_column("verdict", text=_verdict_text),
 )
 
 

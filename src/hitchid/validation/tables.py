@@ -1,13 +1,22 @@
 """Tables of a validation: what an error, an estimate, a band looks like, on every page and in every file."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from operator import attrgetter, itemgetter
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
 from hitchid._support import numbers
-from hitchid._support.tables import Cell, Column, DataTable, RecordTable, Table, number_column
+from hitchid._support.tables import (
+    Cell,
+    Column,
+    DataTable,
+    RecordTable,
+    Table,
+    field_column,
+    field_of,
+    number_column,
+)
 from hitchid.model import SearchSummary
 from hitchid.validation.estimate_tables import (
     characteristic_table,
@@ -206,13 +215,13 @@ def band_table(section: str, bands: BandFigures, unit: str) -> RecordTable:
 def log_table(logs: Sequence[LogUse]) -> RecordTable:
     """Return the logs of a campaign and their use."""
     columns = (
-        Column("log", "log", attrgetter("name")),
-        Column("kind", "kind", attrgetter("kind")),
-        Column("used_as", "used as", attrgetter("used_as")),
-        Column("samples", "samples", attrgetter("samples")),
-        number_column("step_s", "step / s", attrgetter("step_s")),
-        number_column("duration_s", "duration / s", attrgetter("duration_s")),
-        Column("sha256_start", f"SHA-256, first {HASH_DIGITS}", attrgetter("digest")),
+        Column("log", "log", field_of("name")),
+        field_column("kind"),
+        field_column("used_as", "used as"),
+        field_column("samples"),
+        number_column("step_s", "step / s", field_of("step_s")),
+        number_column("duration_s", "duration / s", field_of("duration_s")),
+        Column("sha256_start", f"SHA-256, first {HASH_DIGITS}", field_of("digest")),
     )
     return RecordTable("logs", f"{len(logs)} logs", columns, tuple(logs))
 
