@@ -172,7 +172,8 @@ class DataTable:
         return dataframe(rows).reindex(columns=list(self.columns))
 
 
-# One list of columns is what a fact looks like, on pages and in files.
+# One list of columns is what a fact looks like, on pages and in files. Text and value are functions of the
+# whole record: on a page one cell may say several of its fields, such as a value to the digits of its error.
 
 
 @dataclass(frozen=True)
@@ -256,6 +257,7 @@ class RecordTable:
     def data(self) -> DataTable:
         """Return the table for files; without records it has no columns."""
         records = (*self.records, *self.file_records)
+        # As `DataTable.of_rows` has it, which knows no columns without a row.
         columns = [column for column in self.columns if column.key and records]
         rows = tuple(tuple(column.value(record) for column in columns) for record in records)
         return DataTable(self.name, tuple(column.key for column in columns), rows)

@@ -261,6 +261,7 @@ def validate(
     report = progress or silent
     usable, lacking = usable_tests(campaign, model)
     single_direction = usable
+    # Of mixed cycles alone, their strokes are the tests of each direction.
     if not usable.directions:
         dead_zones = segmentation_dead_zones or model.segmentation_dead_zones(usable.units)
         single_direction = usable.segmented(dead_zones)
