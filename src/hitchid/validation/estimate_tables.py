@@ -43,13 +43,15 @@ def _interval_text(result: Estimate | Quantity) -> str:
 
 
 def _bootstrap_text(result: Estimate | Quantity) -> str:
-    is_shown = isinstance(result, Estimate) and result.bootstrap and result.determined
-    return numbers.interval(result.bootstrap) if is_shown else ""
+    if isinstance(result, Estimate) and result.bootstrap and result.determined:
+        return numbers.interval(result.bootstrap)
+    return ""
 
 
 def _sensitivity_text(result: Estimate | Quantity) -> str:
-    is_shown = isinstance(result, Estimate) and _is_assessed(result)
-    return f"{100 * result.sensitivity:.3g}" if is_shown else ""
+    if isinstance(result, Estimate) and _is_assessed(result):
+        return f"{100 * result.sensitivity:.3g}"
+    return ""
 
 
 # Of parameters, and of quantities derived from them, which lack some of the fields.
