@@ -54,7 +54,7 @@ def test_every_number_is_read_back_as_the_same_number(values):
 
 
 @given(st.lists(st.text(min_size=1), min_size=1))
-def test_every_text_is_read_back_as_shown_or_marked_as_no_formula(texts):
+def test_texts_are_read_back_or_marked_as_no_formula(texts):
     table = DataTable.of_columns("t", {"log": texts, "value": [1] * len(texts)})
     for (cell, _), text in zip(read(table)[1:], texts, strict=True):
         assert cell in (printable(text), f"'{printable(text)}")
@@ -78,7 +78,7 @@ def test_shorter_columns_end_with_empty_cells():
     assert table.rows == ((1, 0.5), (2, None), (3, None))
 
 
-def test_tables_of_one_name_stand_below_each_other_with_their_origin():
+def test_tables_of_one_name_are_stacked_with_their_origin():
     first = DataTable("t", ("x",), ((1,), (2,)))
     second = DataTable("t", ("x", "y"), ((3, 4),))
     (table,) = stacked({"A": {"t": first}, "B": {"t": second}}, "model").values()
@@ -112,7 +112,7 @@ def test_a_table_shows_its_name_columns_and_number_of_rows():
     assert repr(DataTable("t", ("a", "b"), ((1, 2),))) == "DataTable('t': 1 rows of a, b)"
 
 
-def test_one_list_of_columns_is_text_on_pages_and_data_in_files():
+def test_one_list_of_columns_is_page_and_file():
     columns = (
         Column("test", "test", itemgetter(0), lambda record: record[0].upper()),
         number_column("rmse_mm", "RMSE / mm", itemgetter(1)),

@@ -209,7 +209,7 @@ def test_levels_of_findings_look_different_and_have_a_sign(page):
     assert len(colours) == len(Rating)
 
 
-def test_the_keyboard_reaches_links_tables_and_wide_figures_in_their_order(opened):
+def test_the_keyboard_reaches_links_tables_and_wide_figures_in_order(opened):
     page, _, _ = opened(390, "dark")
     page.evaluate("document.activeElement.blur(); scrollTo(0, 0)")
     page.locator("h1").click()

@@ -68,7 +68,7 @@ def test_a_timeline_names_the_segment_of_every_sample():
     assert len(table["displacement_mm"]) == len(table["segment"]) == 400
 
 
-def test_the_first_samples_of_predicted_errors_are_those_of_the_figure():
+def test_the_first_predicted_errors_are_those_of_the_figure():
     tests = validated.predictions()
     table = figures.predicted_errors("name", {"test": tests}, "mm", "", "").data
     expected = tests.actual[0][1:] - tests.models["benchmark"][0][1:]

@@ -143,7 +143,7 @@ UNITED = [
 
 
 @pytest.mark.parametrize("name", UNITED)
-def test_the_unit_on_an_axis_is_the_one_that_was_given(draw, name):
+def test_the_unit_on_an_axis_is_the_one_given(draw, name):
     def labels(unit):
         return [text for axes in draw(name, unit).axes for text in (axes.get_xlabel(), axes.get_ylabel())]
 
@@ -179,7 +179,7 @@ COMPARED_ERRORS = {"persistence": (1.0, 2.0), **dict.fromkeys(COMPARED, (1.0, 2.
 
 
 @pytest.mark.parametrize("errors", [reported.horizons(), Horizons((1, 2), COMPARED_ERRORS)])
-def test_no_two_models_of_a_figure_look_alike_even_without_colours(errors):
+def test_no_two_models_look_alike_even_without_colours(errors):
     lines = sketch("horizons", errors, reported.STEP_S, "mm").axes[0].get_lines()
     assert len(lines) == len(errors.rmse)
     assert len({line.get_marker() for line in lines}) == len(lines)
@@ -228,7 +228,7 @@ def test_convergence_shows_fitness_and_parameters_as_they_were_found():
 @pytest.mark.parametrize(
     "horizons", [reported.horizons(), Horizons((1, 2), {"greybox": (1.0, None), "persistence": (1.0, 2.0)})]
 )
-def test_horizons_show_errors_over_seconds_where_a_model_did_not_diverge(horizons):
+def test_horizons_show_errors_where_a_model_did_not_diverge(horizons):
     lines = sketch("horizons", horizons, 0.02, "mm").axes[0].get_lines()
     for line, errors in zip(lines, horizons.rmse.values(), strict=True):
         np.testing.assert_array_equal(line.get_xdata(), 0.02 * np.array(horizons.steps))
@@ -303,7 +303,7 @@ def test_outputs_show_each_test_with_its_extremes():
     assert np.nanmax(np.abs(last)) == pytest.approx(np.abs(errors[1:]).max())
 
 
-def test_the_band_is_filled_between_its_ends_around_displacement_and_errors():
+def test_the_band_is_filled_around_displacement_and_errors():
     tests = reported.predictions((300,))
     drawn = sketch("outputs", tests, "mm", PAPER).axes
     for axes, middle in zip(drawn, (tests.models["free_run"][0], 0), strict=True):
@@ -363,7 +363,7 @@ def test_correlations_show_what_was_found_and_its_bounds():
     )
 
 
-def test_places_show_mean_and_spread_of_the_errors_in_each_bin():
+def test_places_show_mean_and_spread_of_errors_in_each_bin():
     tested = reported.residuals()
     drawn = sketch("residuals_by_variable", tested, "mm", "A").axes
     for axes, name in zip(drawn, ("position", "speed", "command"), strict=True):
@@ -432,7 +432,7 @@ def test_an_interval_has_both_ends_or_arrows():
         assert axes.get_ylabel() == f"{estimate.symbol}{unit}"
 
 
-def test_an_undetermined_parameter_shows_its_best_fit_on_a_grey_interval():
+def test_an_undetermined_parameter_shows_its_value_on_a_grey_interval():
     wide = reported.estimate(determined=False, interval=(2.0, 700.0), verdict="not determined")
     (axes,) = sketch("intervals", "title", [wide]).axes
     assert marks(axes) == ["|"]
@@ -460,7 +460,7 @@ def test_an_interval_has_distinct_numbers_along_its_scale(value):
 # --- the valve ----------------------------------------------------------------------------------------------
 
 
-def test_the_valve_map_has_gain_and_dead_zone_of_the_benchmark(pressed, ramp):
+def test_the_valve_map_has_the_benchmarks_gain_and_dead_zone(pressed, ramp):
     channel = handmade.channel(LIFTING)
     test = pressed(*[0.4, 0.5, 0.6] * 8)
     axes = sketch("valve_map", valve_map(channel, [test], [ramp]), "mm", "A").axes[0]
@@ -621,7 +621,7 @@ VALUES = st.lists(
 
 
 @given(values=VALUES, repeats=st.integers(1, 120), seed=st.integers(0, 99))
-def test_a_thinned_curve_keeps_its_extremes_its_gaps_and_its_order(values, repeats, seed):
+def test_a_thinned_curve_keeps_extremes_gaps_and_order(values, repeats, seed):
     whole = np.random.default_rng(seed).permutation(np.repeat(np.array(values, dtype=float), repeats))
     sample = np.arange(whole.size)
     at, kept = decimate(sample, whole)

@@ -102,7 +102,7 @@ def test_values_at_the_cursor_are_those_of_the_data(opened):
         assert read_out["free_run"][1] == pytest.approx(error, rel=DIGITS, abs=2 * 140 * 2.0**-23)
 
 
-def test_the_wheel_zooms_around_the_pointer_and_a_double_click_resets(opened):
+def test_the_wheel_zooms_around_the_pointer_double_click_resets(opened):
     page = opened()
     assert shown_range(page) == [0.0, pytest.approx(DURATION_S)]
     box = canvas(page).bounding_box()

@@ -505,7 +505,7 @@ def test_a_report_is_written_with_figures_and_further_files(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["pdf", "xlsx"])
-def test_a_format_that_cannot_be_made_is_refused_before_any_work(tmp_path, monkeypatch, kind):
+def test_a_format_that_cannot_be_made_is_refused_first(tmp_path, monkeypatch, kind):
     write(tmp_path / "out")
     page = (tmp_path / "out" / "report.html").read_bytes()
     monkeypatch.setattr("hitchid.report.write.find_spec", lambda name: None)

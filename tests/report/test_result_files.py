@@ -78,7 +78,7 @@ def test_the_load_of_a_speed_map_has_its_unit(tables):
     assert origins == ["model"] * 9 + ["measured"] * 2
 
 
-def test_files_lie_beside_the_json_and_read_back_as_the_table(tables, tmp_path):
+def test_files_lie_beside_the_json_and_read_back_alike(tables, tmp_path):
     out = tmp_path / "out"
     validated.validation().write(out)
     assert {path.stem for path in (out / "tables").glob("*.csv")} == EXPECTED
@@ -91,7 +91,7 @@ def test_files_lie_beside_the_json_and_read_back_as_the_table(tables, tmp_path):
     assert json.loads((out / "metrics.json").read_text())["unit"] == "mm"
 
 
-def test_a_folder_is_replaced_by_force_alone_unless_it_was_changed(tmp_path):
+def test_a_folder_is_replaced_by_force_alone_unless_changed(tmp_path):
     out = tmp_path / "out"
     result = validated.validation()
     result.write(out)
