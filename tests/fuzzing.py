@@ -76,10 +76,10 @@ from hitchid.model import (
 from hitchid.model.provenance import DifferenceTest
 from hitchid.model.rivals import Rivals
 from hitchid.report import figures, read_trace
-from hitchid.report.tables import search_table
 from hitchid.structures import PhysicalModel, structure_named
 from hitchid.validation import read_limits
 from hitchid.validation.channels import channel_result
+from hitchid.validation.tables import search_table
 
 SAMPLES, STEP_S = 60, 0.01
 REFUSED, ACCEPTED = "refused", "accepted"

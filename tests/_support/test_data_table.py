@@ -3,7 +3,9 @@
 import csv
 import io
 import re
+from dataclasses import replace
 from math import isnan
+from operator import itemgetter
 from xml.etree import ElementTree
 
 import numpy as np
@@ -13,20 +15,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid._support.inert import printable
-from hitchid._support.tables import (
+from hitchid._support.screen import (
     COLUMNS,
     HEIGHT,
     MARGIN,
     MAX_LINES,
     MAX_WIDTH,
     WIDTH,
-    DataTable,
-    Summary,
-    csv_files,
     first_notes,
     screen,
     shortened,
     sparkline,
+)
+from hitchid._support.tables import (
+    Column,
+    DataTable,
+    RecordTable,
+    Table,
+    csv_files,
+    interval_columns,
+    number_column,
     stacked,
 )
 from hitchid.errors import InputError
@@ -46,7 +54,7 @@ def test_every_number_is_read_back_as_the_same_number(values):
 
 
 @given(st.lists(st.text(min_size=1), min_size=1))
-def test_every_text_is_read_back_as_shown_or_marked_as_no_formula(texts):
+def test_texts_are_read_back_or_marked_as_no_formula(texts):
     table = DataTable.of_columns("t", {"log": texts, "value": [1] * len(texts)})
     for (cell, _), text in zip(read(table)[1:], texts, strict=True):
         assert cell in (printable(text), f"'{printable(text)}")
@@ -70,7 +78,7 @@ def test_shorter_columns_end_with_empty_cells():
     assert table.rows == ((1, 0.5), (2, None), (3, None))
 
 
-def test_tables_of_one_name_stand_below_each_other_with_their_origin():
+def test_tables_of_one_name_are_stacked_with_their_origin():
     first = DataTable("t", ("x",), ((1,), (2,)))
     second = DataTable("t", ("x", "y"), ((3, 4),))
     (table,) = stacked({"A": {"t": first}, "B": {"t": second}}, "model").values()
@@ -104,6 +112,24 @@ def test_a_table_shows_its_name_columns_and_number_of_rows():
     assert repr(DataTable("t", ("a", "b"), ((1, 2),))) == "DataTable('t': 1 rows of a, b)"
 
 
+def test_one_list_of_columns_is_page_and_file():
+    columns = (
+        Column("test", "test", itemgetter(0), lambda record: record[0].upper()),
+        number_column("rmse_mm", "RMSE / mm", itemgetter(1)),
+        *interval_columns("interval_{}_mm", "95 %", itemgetter(2)),
+        Column("white", value=lambda record: True),
+    )
+    records = (("up-1", 1 / 3, (0.1, None)), ("up-2", None, None))
+    table = RecordTable("tests", "errors", columns, records[:1], file_records=records[1:])
+    assert table.shown() == Table("errors", ("test", "RMSE / mm", "95 %"), (("UP-1", "0.3333", "> 0.1"),))
+    assert read(table.data()) == [
+        ["test", "rmse_mm", "interval_lower_mm", "interval_upper_mm", "white"],
+        ["up-1", repr(1 / 3), "0.1", "", "true"],
+        ["up-2", "", "", "", "true"],
+    ]
+    assert replace(table, records=(), file_records=()).data().columns == ()
+
+
 # --- summaries: at most one screen -----------------------------------------------------------------------
 
 CELLS = st.text(max_size=200)
@@ -115,7 +141,7 @@ CELLS = st.text(max_size=200)
     notes=st.lists(CELLS, max_size=20),
 )
 def test_any_summary_fits_on_a_screen(title, rows, notes):
-    lines = Summary(title, ("a", "b", "c"), tuple(rows), tuple(notes)).text().splitlines()
+    lines = Table(title, ("a", "b", "c"), tuple(rows), tuple(notes)).text().splitlines()
     assert len(lines) <= MAX_LINES
     assert max(map(len, lines)) <= MAX_WIDTH
 
@@ -134,7 +160,7 @@ def test_a_text_is_shortened_on_one_line():
 
 
 def test_cells_are_escaped_in_html():
-    page = Summary("<a>", ("b",), (("<c>",),), ("d & e",)).html()
+    page = Table("<a>", ("b",), (("<c>",),), ("d & e",)).html()
     assert "<a>" not in page
     assert "<c>" not in page
     assert "d &amp; e" in page

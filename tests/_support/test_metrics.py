@@ -117,7 +117,7 @@ def test_where_nothing_moved_r2_and_fit_are_zero(level, samples):
     assert (figures.r2, figures.fit) == (0.0, 0.0)
 
 
-def test_an_error_of_one_whole_unit_is_not_below_one_unit():
+def test_an_error_of_one_unit_is_not_below_one():
     figures = error_figures([np.zeros(4)], [np.array([0.0, 0.999, 1.0, -1.0])])
     assert figures.within_1 == 0.5
 
@@ -219,8 +219,8 @@ def test_the_standard_error_is_what_campaigns_drawn_anew_show():
     draws = [[rng.standard_normal(20) for _ in range(16)] for _ in range(2000)]
     zeros = [np.zeros(20)] * 16
     figures = [np.sqrt(np.mean(np.square(draw))) for draw in draws]
-    told = np.sqrt(np.mean([rmse_error(zeros, draw) ** 2 for draw in draws]))
-    assert told == pytest.approx(np.std(figures), rel=0.08)
+    estimated = np.sqrt(np.mean([rmse_error(zeros, draw) ** 2 for draw in draws]))
+    assert estimated == pytest.approx(np.std(figures), rel=0.08)
 
 
 @pytest.mark.parametrize("tests", [3, 5, 20])

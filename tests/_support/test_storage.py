@@ -99,7 +99,7 @@ def test_a_folder_appears_with_what_was_written(tmp_path, before):
     ]
 
 
-def test_a_folder_that_is_there_is_replaced_whole_and_only_by_force(tmp_path):
+def test_a_folder_is_replaced_whole_and_only_by_force(tmp_path):
     folder = tmp_path / "a"
     write_result(folder, fill("old"))
     with pytest.raises(OutputError, match=r"a: exists already.*--force"):
@@ -158,7 +158,7 @@ def test_what_is_put_there_during_the_work_stays(tmp_path):
     assert left_in(tmp_path) == ["a", f"a/{MANIFEST_FILE}", "a/mark.json", "a/notes.txt"]
 
 
-def test_what_a_link_points_to_is_replaced_and_the_link_stays(tmp_path):
+def test_the_target_of_a_link_is_replaced_the_link_stays(tmp_path):
     write_result(tmp_path / "a", fill("old"))
     (tmp_path / "link").symlink_to(tmp_path / "a")
     write_result(tmp_path / "link", fill("new"), force=True)
@@ -236,7 +236,7 @@ def test_force_replaces_nothing_of_another_kind(tmp_path, foreign):
     assert precious.read_text() == "mine"
 
 
-def test_a_file_appears_with_what_was_written_and_keeps_its_ending(tmp_path):
+def test_a_file_appears_whole_and_keeps_its_ending(tmp_path):
     seen = []
     path = tmp_path / "deep" / "log.csv.gz"
     write_file(path, lambda fresh: (seen.append(fresh.name), fresh.write_text("new"))[0], force=False)
@@ -276,7 +276,7 @@ def test_leftovers_of_killed_writers_are_removed(tmp_path, name):
     assert {path.name for path in tmp_path.iterdir()} == {mine.name, name}
 
 
-def test_a_writer_leaves_alone_what_another_one_of_its_target_writes(tmp_path):
+def test_a_writer_leaves_alone_what_another_one_writes(tmp_path):
     def slow(path):
         write_text(tmp_path / "a", "first", force=True)
         path.write_text("second")
@@ -299,7 +299,7 @@ def test_a_result_within_a_result_is_written(tmp_path):
 
 
 @pytest.mark.parametrize("number", [errno.EROFS, errno.ENOSPC, errno.EACCES])
-def test_a_place_that_cannot_be_written_is_refused_before_any_work(tmp_path, monkeypatch, number):
+def test_a_place_that_cannot_be_written_is_refused_first(tmp_path, monkeypatch, number):
     def refuse(*_, dir):
         assert dir == tmp_path
         raise OSError(number, os.strerror(number))
@@ -336,14 +336,14 @@ for write in (
 
 @pytest.mark.skipif(os.name == "nt", reason="there are no such limits")
 def test_a_file_that_cannot_grow_leaves_all_as_it_was(tmp_path):
-    place = tmp_path / "place"
-    write_folder(place / "folder", lambda beside: (beside / "mark").touch(), result_kind="mark", force=False)
-    (place / "file").write_text("old")
-    before = {path: path.read_bytes() for path in place.rglob("*") if path.is_file()}
-    command = [sys.executable, "-c", WRITE_TOO_MUCH, str(place)]
+    target = tmp_path / "place"
+    write_folder(target / "folder", lambda beside: (beside / "mark").touch(), result_kind="mark", force=False)
+    (target / "file").write_text("old")
+    before = {path: path.read_bytes() for path in target.rglob("*") if path.is_file()}
+    command = [sys.executable, "-c", WRITE_TOO_MUCH, str(target)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
     of_file, of_folder = done.stdout.splitlines()
-    assert of_file.startswith(f"{place / 'file'}: cannot be written: ")
-    assert of_folder.startswith(f"{place / 'folder'}: cannot be written: ")
-    assert {path: path.read_bytes() for path in place.rglob("*") if path.is_file()} == before
-    assert left_in(place) == ["file", "folder", f"folder/{MANIFEST_FILE}", "folder/mark"]
+    assert of_file.startswith(f"{target / 'file'}: cannot be written: ")
+    assert of_folder.startswith(f"{target / 'folder'}: cannot be written: ")
+    assert {path: path.read_bytes() for path in target.rglob("*") if path.is_file()} == before
+    assert left_in(target) == ["file", "folder", f"folder/{MANIFEST_FILE}", "folder/mark"]

@@ -187,7 +187,7 @@ def test_samples_without_a_number_are_named_and_alone_lost(logs, model, tmp_path
     assert "left out" not in messages
     path.write_text("\n".join([*cell(5, 1, "")(path.read_text().splitlines()), ""]))
     content = json.loads(hitchid("inspect", logs, "--strict", "--json").out)
-    (finding,) = (each for each in content["findings"] if each["check"] == "not measured")
+    (finding,) = (reported for reported in content["findings"] if reported["check"] == "not measured")
     assert (finding["level"], finding["records"]) == ("warning", ["lifting-02"])
     assert finding["signal"] == "lifting_command"
     left_out = "1 of 250 samples are left out, the first in line 6"
@@ -398,7 +398,7 @@ def test_inspect_prints_json_of_what_is_bad_too(logs):
     assert len(content["records"]) == 5
     assert "lifting-02.csv" in content["faults"][0]
     lenient = json.loads(hitchid("inspect", logs, "--json").out)
-    assert [each["name"] for each in lenient["left_out"]] == ["lifting-02"]
+    assert [log["name"] for log in lenient["left_out"]] == ["lifting-02"]
     assert lenient["faults"] == []
 
 
@@ -678,8 +678,8 @@ def test_two_models_are_compared_on_tests_neither_has_seen(tests_with_a_cycle, m
 @pytest.mark.long
 def test_any_number_of_models_is_compared_before_the_logs(tests_with_a_cycle, model, tmp_path):
     others = [tmp_path / "other", tmp_path / "third"]
-    for place, structure in zip(others, ("integrator-first-order", "first-order-lag"), strict=True):
-        save(handmade.hitch(structure, baselines=True), place)
+    for folder, structure in zip(others, ("integrator-first-order", "first-order-lag"), strict=True):
+        save(handmade.hitch(structure, baselines=True), folder)
     out = tmp_path / "out"
     shown = hitchid("compare", model, *others, tests_with_a_cycle, "--out", out)
     assert shown.code == 0
@@ -789,7 +789,7 @@ def test_a_failed_run_exits_with_1_and_leaves_nothing(bench_folder, tmp_path, mo
 
 def test_rivals_there_are_or_of_other_logs_are_refused(refused, model, bench_folder, tmp_path):
     trained = handmade.hitch("integrator", compensated=True, baselines=True)
-    rivals = {name: replace(each, trained=True) for name, each in trained.rivals.items()}
+    rivals = {name: replace(own, trained=True) for name, own in trained.rivals.items()}
     save(replace(trained, rivals=rivals), tmp_path / "model")
     refused("rivals", tmp_path / "model", bench_folder, said=["has trained rivals already"])
     said = ["expected the logs and the split that it was identified from"]

@@ -81,7 +81,7 @@ def test_machines_of_a_table_are_compared_by_its_columns(store, tmp_path):
     table.write_text("machine,type\n" + "\n".join(lines) + "\n", encoding="utf-8")
     code, printed = run(store, "--out", tmp_path / "report", "--machines", table, "--json")
     assert code == 0, printed
-    assert {each["column"] for each in json.loads(printed)["cohorts"]} == {"type"}
+    assert {cohort["column"] for cohort in json.loads(printed)["cohorts"]} == {"type"}
 
 
 def test_an_empty_store_and_wrong_options_are_refused(store, tmp_path):

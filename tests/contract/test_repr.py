@@ -15,7 +15,7 @@ import pytest
 
 import hitchid
 from handmade import hitch, with_bands
-from hitchid._support.tables import MAX_LINES, MAX_WIDTH
+from hitchid._support.screen import MAX_LINES, MAX_WIDTH
 from hitchid.errors import HitchError, LogError
 from hitchid.identification import ChannelTrace, Identification
 from hitchid.identification.phase1 import Phase1

@@ -12,8 +12,8 @@ from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.model import Characteristics, Estimates, ParameterTable, Quantity, Uncertainty, load, save
 from hitchid.model.estimates import Information
 from hitchid.report.origin import origin_section
-from hitchid.report.tables import parameter_table
 from hitchid.report.verdict import _parameter_finding
+from hitchid.validation.estimate_tables import parameter_table
 from hitchid.validation.report_data import Origin
 from hitchid.validation.validate import set_by_hand_notices
 from report import reported
@@ -200,7 +200,7 @@ def test_a_changed_model_says_so_in_folder_validation_and_report(tmp_path):
     (notice,) = set_by_hand_notices(again, LIFTING)
     assert notice.startswith("lifting: gain 25 mm/(s·A), dead time 0.02 s set by hand;")
     assert set_by_hand_notices(again, LOWERING) == []
-    gain_row = parameter_table("lifting", again.uncertainty[LIFTING].benchmark).rows[0]
+    gain_row = parameter_table(LIFTING, "", "", again.uncertainty[LIFTING].benchmark).shown().rows[0]
     assert gain_row == ("K", "mm/(s·A)", "25", "", "", "", "set by hand")
     _, origin, *_ = origin_section(Origin(again.provenance, again.step_s, {}), "").blocks
     assert ("set by hand: lifting", "dead_time = 0.02, gain = 25") in origin.rows

@@ -71,9 +71,9 @@ def test_without_axes_pyplot_has_one_new_legible_figure(plot):
     texts += [text for legend in figure.legends for text in legend.get_texts()]
     assert_whole_and_apart(figure, texts)
 
-    for place, drawn in enumerate(axes):
+    for column, drawn in enumerate(axes):
         vertical, horizontal = shared_label(drawn, "y"), shared_label(drawn, "x")
-        if count == 5 and place >= 2:  # errors by variable share the label of the middle one
+        if count == 5 and column >= 2:  # errors by variable share the label of the middle one
             vertical = axes[3].get_ylabel()
         assert vertical in WITHOUT_UNIT or re.search(r"/\s\S", vertical), vertical
         is_lowest = drawn.get_subplotspec().rowspan.stop == drawn.get_gridspec().nrows

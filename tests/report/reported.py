@@ -58,14 +58,18 @@ def predictions(sizes=(300, 250, 280), *, models=MODELS, band=True, seed=0):
     actual = tuple(
         100.0 + 40.0 * np.sin(seconds) + 0.02 * rng.standard_normal(seconds.size) for seconds in time_s
     )
-    told = {
-        name: tuple(y + 0.1 * (1 + place) * rng.standard_normal(y.size).cumsum() for y in actual)
-        for place, name in enumerate(models)
+    predicted = {
+        name: tuple(y + 0.1 * (1 + number) * rng.standard_normal(y.size).cumsum() for y in actual)
+        for number, name in enumerate(models)
     }
-    around = told["free_run"] if band and "free_run" in told else ()
+    around = predicted["free_run"] if band and "free_run" in predicted else ()
     ends = (tuple(y - 2.0 for y in around), tuple(y + 2.0 for y in around))
     return Predictions(
-        tuple(f"up-{i + 1:02d}" for i in range(len(sizes))), time_s, actual, told, ends if around else None
+        tuple(f"up-{i + 1:02d}" for i in range(len(sizes))),
+        time_s,
+        actual,
+        predicted,
+        ends if around else None,
     )
 
 
@@ -74,7 +78,7 @@ def horizons(
 ):
     """Return errors over horizons."""
     errors = {
-        name: tuple(0.01 * (1 + place) * step**0.7 for step in STEPS) for place, name in enumerate(names)
+        name: tuple(0.01 * (1 + number) * step**0.7 for step in STEPS) for number, name in enumerate(names)
     }
     return Horizons(STEPS, errors, {name: tuple(0.1 * rmse for rmse in row) for name, row in errors.items()})
 
@@ -94,7 +98,7 @@ def residuals(*, seed=0, level=None):
 
 def estimate(name="gain", *, symbol="K", unit="mm/(s·A)", value=30.0, error=1.0, interval=None, **options):
     """Return a parameter as found; without more said it is determined, to two standard errors."""
-    known = {
+    fields = {
         "method": "Gauss-Newton",
         "bootstrap": None if error is None else (value - error, value + error),
         "lower": 0.01,
@@ -105,7 +109,7 @@ def estimate(name="gain", *, symbol="K", unit="mm/(s·A)", value=30.0, error=1.0
         "sensitivity": 0.2,
     } | options
     ends = (value - 2 * error, value + 2 * error) if interval is None else interval
-    return Estimate(name=name, symbol=symbol, unit=unit, value=value, error=error, interval=ends, **known)
+    return Estimate(name=name, symbol=symbol, unit=unit, value=value, error=error, interval=ends, **fields)
 
 
 def _vague(name, symbol, unit, value, interval, verdict):
@@ -173,16 +177,16 @@ def trace(*parameters, **options):
 
 def trace_json(*parameters, iterations=20, candidates=3, phase2=True, notices=("the search ended early",)):
     """Return how one direction was identified, in the form of `trace.json`."""
-    found = parameters or ESTIMATES[:2]
+    estimates = parameters or ESTIMATES[:2]
     falling = np.linspace(2.0, 1.0, iterations)
     names = [f"structure {number}" for number in range(candidates)]
     return {
         "dead_zone": {"value": 0.35, "spread": 0.01, "count": 2, "origin": "ramps"},
         "phase1": {
-            "uncertainty": {"parameters": [asdict(parameter) for parameter in found]},
+            "uncertainty": {"parameters": [asdict(parameter) for parameter in estimates]},
             "fitness": [None, *(1.5 * falling[1:]).tolist()],
-            "searched": [parameter.name for parameter in found],
-            "values": [[(parameter.value or 0.1) * factor for parameter in found] for factor in falling],
+            "searched": [parameter.name for parameter in estimates],
+            "values": [[(parameter.value or 0.1) * factor for parameter in estimates] for factor in falling],
         },
         "phase2": {
             "training_loss": [None, *np.geomspace(1.0, 0.01, iterations - 1).tolist()],
@@ -195,11 +199,11 @@ def trace_json(*parameters, iterations=20, candidates=3, phase2=True, notices=("
         "candidates": [
             {
                 "name": name,
-                "rmse": 0.5 + place,
-                "held_out_rmse": 0.7 + place if place else None,
-                "chosen": place == 0,
+                "rmse": 0.5 + index,
+                "held_out_rmse": 0.7 + index if index else None,
+                "chosen": index == 0,
             }
-            for place, name in enumerate(names)
+            for index, name in enumerate(names)
         ],
         "notices": list(notices),
     }

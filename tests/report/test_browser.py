@@ -32,8 +32,8 @@ WIDE_TABLE = Table(
     "lifting: parameters of the physics model",
     ("parameter", "unit", "value ± standard error", "95 %", "bootstrap", "RMSE for ±1 % / %", "verdict"),
     tuple(
-        (known.symbol, known.unit, "30.0 ± 1.0", "28.04 … 31.96", "28.5 … 31.4", "0.82", LONG_VERDICT)
-        for known in reported.ESTIMATES
+        (estimate.symbol, estimate.unit, "30.0 ± 1.0", "28.04 … 31.96", "28.5 … 31.4", "0.82", LONG_VERDICT)
+        for estimate in reported.ESTIMATES
     ),
 )
 LONG_NAME = "lifting-" + "0123456789" * 12
@@ -190,9 +190,9 @@ def test_curves_are_drawn_in_the_colours_of_the_scheme(opened, scheme):
     def parts(colour):
         return f"rgb({', '.join(str(int(colour[i : i + 2], 16)) for i in (1, 3, 5))})"
 
-    known = {parts(getattr(shade, scheme)) for shade in SHADES.values()}
+    shades = {parts(getattr(shade, scheme)) for shade in SHADES.values()}
     assert len(drawn) >= 8
-    assert set(drawn) <= known
+    assert set(drawn) <= shades
 
 
 def test_levels_of_findings_look_different_and_have_a_sign(page):
@@ -209,7 +209,7 @@ def test_levels_of_findings_look_different_and_have_a_sign(page):
     assert len(colours) == len(Rating)
 
 
-def test_the_keyboard_reaches_links_tables_and_wide_figures_in_their_order(opened):
+def test_the_keyboard_reaches_links_tables_and_wide_figures_in_order(opened):
     page, _, _ = opened(390, "dark")
     page.evaluate("document.activeElement.blur(); scrollTo(0, 0)")
     page.locator("h1").click()

@@ -24,11 +24,11 @@ def by_name():
 def verdict(by_name, own, rival):
     """Return the ratings and the text of the verdict on two controllers."""
     drive = Drive(by_name, {}, {TESTED: own, BASELINE: rival, COMPENSATED: rival}, {}, {})
-    found = drive_verdict(drive)
-    return [finding.level for finding in found], "\n".join(finding.sentence for finding in found)
+    findings = drive_verdict(drive)
+    return [finding.level for finding in findings], "\n".join(finding.sentence for finding in findings)
 
 
-def test_a_drive_without_a_fault_has_no_other_line_than_good(by_name):
+def test_a_drive_without_a_fault_has_good_lines_alone(by_name):
     rival = {name: GOOD._replace(iae=12.0) for name in by_name}
     levels, text = verdict(by_name, dict.fromkeys(by_name, GOOD), rival)
     assert set(levels) == {Rating.GOOD}
@@ -36,7 +36,7 @@ def test_a_drive_without_a_fault_has_no_other_line_than_good(by_name):
 
 
 @pytest.mark.parametrize("seed", range(50))
-def test_every_fault_of_a_table_is_a_line_of_the_verdict(by_name, seed):
+def test_every_fault_of_a_table_is_in_the_verdict(by_name, seed):
     rng = np.random.default_rng(seed)
     own = {
         name: Figures(

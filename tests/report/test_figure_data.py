@@ -17,15 +17,15 @@ def document():
 
 @pytest.fixture(scope="module")
 def folder(document, tmp_path_factory):
-    place = tmp_path_factory.mktemp("figures") / "out"
-    write_report(place, document, {"metrics.json": b"{}"}, mark="metrics.json")
-    return place / "figures"
+    out = tmp_path_factory.mktemp("figures") / "out"
+    write_report(out, document, {"metrics.json": b"{}"}, mark="metrics.json")
+    return out / "figures"
 
 
 def columns(path):
     with path.open() as file:
         header, *rows = csv.reader(file)
-    return {name: [row[place] for row in rows] for place, name in enumerate(header)}
+    return {name: [row[column] for row in rows] for column, name in enumerate(header)}
 
 
 def test_every_figure_of_a_report_has_its_data_beside_it(document, folder):
@@ -68,7 +68,7 @@ def test_a_timeline_names_the_segment_of_every_sample():
     assert len(table["displacement_mm"]) == len(table["segment"]) == 400
 
 
-def test_the_first_samples_of_predicted_errors_are_those_of_the_figure():
+def test_the_first_predicted_errors_are_those_of_the_figure():
     tests = validated.predictions()
     table = figures.predicted_errors("name", {"test": tests}, "mm", "", "").data
     expected = tests.actual[0][1:] - tests.models["benchmark"][0][1:]

@@ -143,7 +143,7 @@ UNITED = [
 
 
 @pytest.mark.parametrize("name", UNITED)
-def test_the_unit_on_an_axis_is_the_one_that_was_given(draw, name):
+def test_the_unit_on_an_axis_is_the_one_given(draw, name):
     def labels(unit):
         return [text for axes in draw(name, unit).axes for text in (axes.get_xlabel(), axes.get_ylabel())]
 
@@ -154,32 +154,32 @@ def test_the_unit_on_an_axis_is_the_one_that_was_given(draw, name):
 
 def colours(axes):
     """Return what the legend of an axes calls its lines, to their colours, `free run` left out."""
-    found = {}
+    by_name = {}
     for line in axes.get_lines():
         name = line.get_label().partition(", free")[0]
         if not name.startswith("_"):
-            found.setdefault(name, set()).add(line.get_color())
-    return found
+            by_name.setdefault(name, set()).add(line.get_color())
+    return by_name
 
 
 def test_a_model_has_one_colour_in_all_figures(draw):
     by_test = draw("errors_by_test").axes[0]
     rows = [text.get_text() for text in by_test.get_yticklabels()]
     points = [line for line in by_test.get_lines() if line.get_marker() not in ("|", "None")]
-    found = [
+    by_figure = [
         {row: {line.get_color()} for row, line in zip(rows, points, strict=True)},
         *(colours(draw(name).axes[0]) for name in ("horizons", "outputs", "error_distribution")),
     ]
-    assert {"grey box", "physics model", "grey box, one step", "ARX"} <= set().union(*found)
-    for name in set().union(*found):
-        assert len(set().union(*(figure_colours.get(name, set()) for figure_colours in found))) == 1, name
+    assert {"grey box", "physics model", "grey box, one step", "ARX"} <= set().union(*by_figure)
+    for name in set().union(*by_figure):
+        assert len(set().union(*(figure_colours.get(name, set()) for figure_colours in by_figure))) == 1, name
 
 
 COMPARED_ERRORS = {"persistence": (1.0, 2.0), **dict.fromkeys(COMPARED, (1.0, 2.0))}
 
 
 @pytest.mark.parametrize("errors", [reported.horizons(), Horizons((1, 2), COMPARED_ERRORS)])
-def test_no_two_models_of_a_figure_look_alike_even_without_colours(errors):
+def test_no_two_models_look_alike_even_without_colours(errors):
     lines = sketch("horizons", errors, reported.STEP_S, "mm").axes[0].get_lines()
     assert len(lines) == len(errors.rmse)
     assert len({line.get_marker() for line in lines}) == len(lines)
@@ -215,23 +215,23 @@ def test_convergence_shows_fitness_and_parameters_as_they_were_found():
     phase1 = trace.phase1
     np.testing.assert_array_equal(fitness.lines[0].get_xdata(), np.arange(1, 21))
     np.testing.assert_array_equal(fitness.lines[0].get_ydata(), [np.nan, *phase1.fitness[1:]])
-    for place, (axes, known) in enumerate(zip(parameters, phase1.parameters, strict=True)):
+    for number, (axes, parameter) in enumerate(zip(parameters, phase1.parameters, strict=True)):
         best, polished = axes.lines
-        np.testing.assert_array_equal(best.get_ydata(), [row[place] for row in phase1.values])
-        assert set(polished.get_ydata()) == {known.value}
-        assert axes.get_ylabel() == f"{known.symbol}\n/ {known.unit}"
+        np.testing.assert_array_equal(best.get_ydata(), [row[number] for row in phase1.values])
+        assert set(polished.get_ydata()) == {parameter.value}
+        assert axes.get_ylabel() == f"{parameter.symbol}\n/ {parameter.unit}"
     # A parameter without a symbol is called by its name.
     unnamed = reported.trace(reported.estimate("speed_along", symbol="", unit="1/mm", linear=True))
     assert sketch("convergence", unnamed.phase1, "mm").axes[1].get_ylabel() == "speed along\n/ 1/mm"
 
 
 @pytest.mark.parametrize(
-    "known", [reported.horizons(), Horizons((1, 2), {"greybox": (1.0, None), "persistence": (1.0, 2.0)})]
+    "horizons", [reported.horizons(), Horizons((1, 2), {"greybox": (1.0, None), "persistence": (1.0, 2.0)})]
 )
-def test_horizons_show_errors_over_seconds_where_a_model_did_not_diverge(known):
-    lines = sketch("horizons", known, 0.02, "mm").axes[0].get_lines()
-    for line, errors in zip(lines, known.rmse.values(), strict=True):
-        np.testing.assert_array_equal(line.get_xdata(), 0.02 * np.array(known.steps))
+def test_horizons_show_errors_where_a_model_did_not_diverge(horizons):
+    lines = sketch("horizons", horizons, 0.02, "mm").axes[0].get_lines()
+    for line, errors in zip(lines, horizons.rmse.values(), strict=True):
+        np.testing.assert_array_equal(line.get_xdata(), 0.02 * np.array(horizons.steps))
         np.testing.assert_array_equal(line.get_ydata(), np.array(errors, dtype=float))
 
 
@@ -240,13 +240,13 @@ def test_each_test_is_a_point_and_the_bar_their_rms(sizes):
     tests = reported.predictions(sizes)
     axes = sketch("errors_by_test", tests, "mm", RIVALS).axes[0]
     points, bars = axes.get_lines()[::2], axes.get_lines()[1::2]
-    for place, (model, point, bar) in enumerate(zip(RIVALS, points, bars, strict=True)):
+    for number, (model, point, bar) in enumerate(zip(RIVALS, points, bars, strict=True)):
         errors = [
             np.linalg.norm(a - p) / np.sqrt(a.size)
             for a, p in zip(tests.actual, tests.models[model], strict=True)
         ]
         np.testing.assert_allclose(point.get_xdata(), errors, rtol=1e-12)
-        assert set(point.get_ydata()) == {place}
+        assert set(point.get_ydata()) == {number}
         together = np.linalg.norm(errors) / np.sqrt(len(errors))
         np.testing.assert_allclose(bar.get_xdata(), [together], rtol=1e-12)
 
@@ -273,13 +273,13 @@ def test_the_bell_has_the_errors_mean_spread_and_unit_area():
     errors = 2.0 + 0.25 * np.random.default_rng(0).standard_normal(5000)
     wide = np.concatenate([errors, 8.0 - errors, np.repeat([-40.0, 40.0], 50)])
     above, _ = sketch("error_distribution", {"free_run": errors, "benchmark": wide}, "mm").axes
-    place, bell = above.get_lines()[0].get_data()
+    error, bell = above.get_lines()[0].get_data()
     # The far end of the axes lies over 100 spreads away; steps of 0.4 to 0.8 spreads leave the rule exact.
     assert above.get_xlim()[1] == pytest.approx(40)
-    step = place[1] - place[0]
+    step = error[1] - error[0]
     assert step < 2 * errors.std()
-    assert trapezoid(bell, place) == pytest.approx(1.0, abs=1e-2)
-    assert trapezoid(place * bell, place) == pytest.approx(errors.mean(), abs=1e-2)
+    assert trapezoid(bell, error) == pytest.approx(1.0, abs=1e-2)
+    assert trapezoid(error * bell, error) == pytest.approx(errors.mean(), abs=1e-2)
 
 
 def test_outputs_show_each_test_with_its_extremes():
@@ -303,7 +303,7 @@ def test_outputs_show_each_test_with_its_extremes():
     assert np.nanmax(np.abs(last)) == pytest.approx(np.abs(errors[1:]).max())
 
 
-def test_the_band_is_filled_between_its_ends_around_displacement_and_errors():
+def test_the_band_is_filled_around_displacement_and_errors():
     tests = reported.predictions((300,))
     drawn = sketch("outputs", tests, "mm", PAPER).axes
     for axes, middle in zip(drawn, (tests.models["free_run"][0], 0), strict=True):
@@ -334,11 +334,11 @@ def test_time_goes_on_from_test_to_test():
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.81, 1.0])
 def test_coverage_shows_shares_in_percent_over_seconds_within_its_axes(share):
     axes = sketch("coverage", reported.bands(covered=share, ahead=1 - share), 0.02).axes[0]
-    ahead, free, asked = axes.get_lines()
+    ahead, free, nominal = axes.get_lines()
     np.testing.assert_allclose(ahead.get_xdata(), 0.02 * np.array(reported.STEPS))
     np.testing.assert_allclose(ahead.get_ydata(), 100 * (1 - share))
     assert {*free.get_ydata()} == {100 * share}
-    assert {*asked.get_ydata()} == {90}
+    assert {*nominal.get_ydata()} == {90}
     low, high = axes.get_ylim()
     for line in axes.get_lines():
         assert low <= min(line.get_ydata())
@@ -346,28 +346,28 @@ def test_coverage_shows_shares_in_percent_over_seconds_within_its_axes(share):
 
 
 def test_correlations_show_what_was_found_and_its_bounds():
-    found = reported.residuals()
-    above, below = sketch("residual_correlations", found).axes
+    tested = reported.residuals()
+    above, below = sketch("residual_correlations", tested).axes
     for axes, name, bound in (
         (above, "autocorrelation", "autocorrelation_bounds"),
         (below, "cross_correlation", "cross_bounds"),
     ):
         band, stems = axes.collections
         ends = [segment[1, 1] for segment in stems.get_segments()]
-        np.testing.assert_allclose(ends, getattr(found, name))
-        assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(max(getattr(found, bound)))
+        np.testing.assert_allclose(ends, getattr(tested, name))
+        assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(max(getattr(tested, bound)))
         assert axes.get_ylim()[1] > max(np.abs(ends))
     np.testing.assert_allclose(
         [segment[0, 0] for segment in below.collections[1].get_segments()],
-        reported.STEP_S * np.array(found.cross_lags),
+        reported.STEP_S * np.array(tested.cross_lags),
     )
 
 
-def test_places_show_mean_and_spread_of_the_errors_in_each_bin():
-    found = reported.residuals()
-    drawn = sketch("residuals_by_variable", found, "mm", "A").axes
+def test_places_show_mean_and_spread_of_errors_in_each_bin():
+    tested = reported.residuals()
+    drawn = sketch("residuals_by_variable", tested, "mm", "A").axes
     for axes, name in zip(drawn, ("position", "speed", "command"), strict=True):
-        bins = found.by_quantity[name].bins
+        bins = tested.by_quantity[name].bins
         spreads, means = axes.get_lines()[0:-1:2], axes.get_lines()[1:-1:2]
         assert len(spreads) == len(means) == len(bins)
         for errors, spread, mean in zip(bins, spreads, means, strict=True):
@@ -379,9 +379,9 @@ def test_places_show_mean_and_spread_of_the_errors_in_each_bin():
 
 
 def test_searches_show_every_end_and_the_run_in_the_middle():
-    known = reported.searches()
-    went, ended = sketch("searches", known, "mm").axes
-    for line, points, search in zip(went.get_lines(), ended.get_lines(), known, strict=True):
+    summaries = reported.searches()
+    went, ended = sketch("searches", summaries, "mm").axes
+    for line, points, search in zip(went.get_lines(), ended.get_lines(), summaries, strict=True):
         np.testing.assert_array_equal(line.get_ydata()[1:], search.median_rmse[1:])
         assert (line.get_xdata()[0], line.get_xdata()[-1]) == (0, 100)
         assert list(points.get_ydata()) == [end for end in search.rmse if end is not None]
@@ -418,19 +418,21 @@ def marks(axes):
 
 def test_an_interval_has_both_ends_or_arrows():
     estimates = reported.ESTIMATES
-    for axes, known in zip(sketch("intervals", "title", estimates).axes, estimates, strict=True):
+    for axes, estimate in zip(sketch("intervals", "title", estimates).axes, estimates, strict=True):
         bar = axes.get_lines()[0].get_xdata()
         edge = axes.get_xlim()
-        ends = [edge_end if end is None else end for edge_end, end in zip(edge, known.interval, strict=True)]
+        ends = [
+            edge_end if end is None else end for edge_end, end in zip(edge, estimate.interval, strict=True)
+        ]
         np.testing.assert_allclose(bar, ends)
-        arrows = [sign for sign, end in zip("<>", known.interval, strict=True) if end is None]
+        arrows = [sign for sign, end in zip("<>", estimate.interval, strict=True) if end is None]
         assert marks(axes) == [*arrows, "|"]
-        assert edge[0] < known.value < edge[1]
-        unit = "" if known.unit == "1" else f" / {known.unit}"
-        assert axes.get_ylabel() == f"{known.symbol}{unit}"
+        assert edge[0] < estimate.value < edge[1]
+        unit = "" if estimate.unit == "1" else f" / {estimate.unit}"
+        assert axes.get_ylabel() == f"{estimate.symbol}{unit}"
 
 
-def test_an_undetermined_parameter_shows_its_best_fit_on_a_grey_interval():
+def test_an_undetermined_parameter_shows_its_value_on_a_grey_interval():
     wide = reported.estimate(determined=False, interval=(2.0, 700.0), verdict="not determined")
     (axes,) = sketch("intervals", "title", [wide]).axes
     assert marks(axes) == ["|"]
@@ -458,7 +460,7 @@ def test_an_interval_has_distinct_numbers_along_its_scale(value):
 # --- the valve ----------------------------------------------------------------------------------------------
 
 
-def test_the_valve_map_has_gain_and_dead_zone_of_the_benchmark(pressed, ramp):
+def test_the_valve_map_has_the_benchmarks_gain_and_dead_zone(pressed, ramp):
     channel = handmade.channel(LIFTING)
     test = pressed(*[0.4, 0.5, 0.6] * 8)
     axes = sketch("valve_map", valve_map(channel, [test], [ramp]), "mm", "A").axes[0]
@@ -478,8 +480,8 @@ def test_the_valve_map_has_gain_and_dead_zone_of_the_benchmark(pressed, ramp):
     points = [line for line in axes.get_lines() if line.get_marker() == "o" and len(line.get_xdata()) == 1]
     assert points
     for point in points:
-        (place,), (middle,) = point.get_data()
-        assert middle == pytest.approx(steady(place), abs=1e-6)
+        (command_shown,), (middle,) = point.get_data()
+        assert middle == pytest.approx(steady(command_shown), abs=1e-6)
 
 
 def test_the_valve_map_waits_until_a_slow_speed_has_settled(make_record):
@@ -502,13 +504,13 @@ def test_the_valve_map_waits_until_a_slow_speed_has_settled(make_record):
 
 
 def test_the_speed_map_shows_bands_and_points_of_each_load():
-    known = reported.characteristics()
-    axes = sketch("speed_map", known).axes[0]
+    described = reported.characteristics()
+    axes = sketch("speed_map", described).axes[0]
     lines = {line.get_label(): line for line in axes.get_lines()}
     assert set(lines) == {"90", "120", "150", "measured", "dead zone"}
-    assert set(lines["dead zone"].get_xdata()) == {known.dead_zone.value}
+    assert set(lines["dead zone"].get_xdata()) == {described.dead_zone.value}
     for load, band in zip((90.0, 120.0, 150.0), axes.collections, strict=True):
-        points = [point for point in known.speed_map if point.load == load]
+        points = [point for point in described.speed_map if point.load == load]
         drawn = np.column_stack(lines[f"{load:g}"].get_data())
         np.testing.assert_array_equal(drawn, [(point.command, point.speed) for point in points])
         corners = {tuple(corner) for path in band.get_paths() for corner in path.vertices}
@@ -517,7 +519,7 @@ def test_the_speed_map_shows_bands_and_points_of_each_load():
             lower, upper = point.interval
             assert {(point.command, lower), (point.command, highest if upper is None else upper)} <= corners
     measured = np.column_stack(lines["measured"].get_data())
-    np.testing.assert_array_equal(measured, [(point.command, point.speed) for point in known.measured])
+    np.testing.assert_array_equal(measured, [(point.command, point.speed) for point in described.measured])
 
 
 def test_the_valve_map_needs_no_ramp_and_no_standing_command(make_record):
@@ -619,10 +621,10 @@ VALUES = st.lists(
 
 
 @given(values=VALUES, repeats=st.integers(1, 120), seed=st.integers(0, 99))
-def test_a_thinned_curve_keeps_its_extremes_its_gaps_and_its_order(values, repeats, seed):
+def test_a_thinned_curve_keeps_extremes_gaps_and_order(values, repeats, seed):
     whole = np.random.default_rng(seed).permutation(np.repeat(np.array(values, dtype=float), repeats))
-    place = np.arange(whole.size)
-    at, kept = decimate(place, whole)
+    sample = np.arange(whole.size)
+    at, kept = decimate(sample, whole)
     assert np.all(np.diff(at) > 0)
     np.testing.assert_array_equal(kept, whole[at])
     gaps = np.isnan(whole)

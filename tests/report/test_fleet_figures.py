@@ -75,7 +75,7 @@ def test_a_forest_has_a_row_per_machine_outliers_first():
     np.testing.assert_allclose(slow, [[np.exp(estimate), labels.index("tractor-07")]])
 
 
-def test_of_many_machines_outliers_are_drawn_and_quantiles_of_the_others():
+def test_of_many_machines_outliers_and_quantiles_of_others_are_drawn():
     comparison = compared("100")
     shown, others = figures.shown_machines(comparison)
     assert [comparison.machines[machine] for machine in shown] == list(comparison.standing_out)
@@ -125,7 +125,7 @@ def test_a_machine_has_one_line_in_both_directions():
     assert speed == pytest.approx(0.8 * fleet_rows.GAINS["lowering"] * (end - command))
 
 
-def test_of_very_many_machines_all_outliers_and_some_others_are_drawn(monkeypatch):
+def test_of_very_many_machines_outliers_and_some_others_are_drawn(monkeypatch):
     monkeypatch.setattr(figures, "MOST_POINTS", 40)
     axes = figures.scatter(compared("100")).axes[1]
     points = {line.get_marker(): len(line.get_xdata()) for line in axes.get_lines()}
@@ -147,7 +147,7 @@ def axes():
 
 
 @given(st.tuples(st.floats(0.1, 10), st.floats(0.1, 10), st.floats(-0.95, 0.95)))
-def test_every_point_of_an_ellipse_has_the_distance_of_95_percent(parts):
+def test_points_of_an_ellipse_have_the_distance_of_95_percent(parts):
     one, other, correlation = parts
     covariance = np.array([[one**2, correlation * one * other], [correlation * one * other, other**2]])
     curve = figures.ellipse(np.array([1.0, 2.0]), covariance) - np.array([[1.0], [2.0]])

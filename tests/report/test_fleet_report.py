@@ -26,8 +26,8 @@ def titles(report):
 
 
 def table(report, title):
-    (found,) = (table for table in report.tables if table.title == title)
-    return found
+    (matching,) = (table for table in report.tables if table.title == title)
+    return matching
 
 
 @pytest.fixture(scope="module")
@@ -74,10 +74,10 @@ def test_the_numbers_of_a_sentence_are_those_of_the_comparison(with_faults):
 
 
 def test_without_an_outlier_it_says_what_would_have_been_found():
-    found = document(fleet_rows.fleet(24, seed=3)).verdict
-    assert len(found) == 1
-    assert found[0].level is Rating.GOOD
-    assert found[0].sentence.startswith("None of 24 machines stands out. A single machine is named with a")
+    findings = document(fleet_rows.fleet(24, seed=3)).verdict
+    assert len(findings) == 1
+    assert findings[0].level is Rating.GOOD
+    assert findings[0].sentence.startswith("None of 24 machines stands out. A single machine is named with a")
 
 
 def test_one_machine_is_too_few():
@@ -112,11 +112,11 @@ def test_cohorts_slopes_and_trends_have_sentences_and_tables():
     slow = {number: {"gain_factor": 0.9} for number in range(20)}
     rows = fleet_rows.fleet(40, seed=2, faults=slow)
     oil = tuple("old" if number < 20 else "new" for number in range(40))
-    known = Metadata("machines.csv", tuple(row.machine for row in rows), {"oil": oil})
+    metadata = Metadata("machines.csv", tuple(row.machine for row in rows), {"oil": oil})
     aged = [replace(row, date=LATER) for row in rows[:6]]
     lifting = aged[3].directions["lifting"]
     worn = {**aged[3].directions, "lifting": replace(lifting, gain=0.9 * lifting.gain)}
-    report = document([*rows, *aged[:3], replace(aged[3], directions=worn), *aged[4:]], known)
+    report = document([*rows, *aged[:3], replace(aged[3], directions=worn), *aged[4:]], metadata)
     assert {"Cohorts", "Trends"} <= set(titles(report))
     (row,) = (row for row in table(report, "Changes a year").rows if row[0] == "tractor-03")
     assert row[1] == "lifting: gain"
@@ -124,7 +124,7 @@ def test_cohorts_slopes_and_trends_have_sentences_and_tables():
 
     fading = {number: {"gain_factor": 1 - 0.004 * number} for number in range(40)}
     ages = {"age_h": tuple(100.0 * number for number in range(40))}
-    of_ages = document(fleet_rows.fleet(40, faults=fading), replace(known, columns=ages))
+    of_ages = document(fleet_rows.fleet(40, faults=fading), replace(metadata, columns=ages))
     for made, beginning in (
         (report, "The gain of lowering depends on oil: new 4"),
         (report, "tractor-03: gain of lifting falls by 10 % a year (95 %: "),

@@ -126,11 +126,11 @@ def test_the_data_of_an_interactive_page_stay_data(documents):
     assert [test["name"] for test in json.loads(data)["sections"]["lifting"]] == list(map(printable, STRINGS))
 
 
-def test_a_figure_is_xml_with_the_elements_of_a_harmless_one(documents):
+def test_a_figure_is_xml_with_elements_of_a_harmless_one(documents):
     hostile, benign = (ElementTree.fromstring(made.pictures[0].svg) for made in documents)  # noqa: S314 - our own
     # Each line of a text is an element of its own.
-    known = {element.tag for element in benign.iter()} | {"{http://www.w3.org/2000/svg}tspan"}
-    assert {element.tag for element in hostile.iter()} <= known
+    permitted = {element.tag for element in benign.iter()} | {"{http://www.w3.org/2000/svg}tspan"}
+    assert {element.tag for element in hostile.iter()} <= permitted
     texts = {"".join(element.itertext()) for element in hostile.iter("{http://www.w3.org/2000/svg}text")}
     assert set(MATHEMATICS) <= texts
 

@@ -37,7 +37,7 @@ def decoded(values):
     return np.frombuffer(base64.b64decode(values), dtype="<f4")
 
 
-def test_the_page_holds_every_sample_of_every_test_in_single_precision(text):
+def test_the_page_holds_every_sample_in_single_precision(text):
     tests, content = validated.predictions(), data(text)
     assert content["unit"] == "mm"
     held = content["sections"]["lifting"]

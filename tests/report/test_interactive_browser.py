@@ -24,9 +24,9 @@ def address(tmp_path_factory):
     tests = shown()
     sections = {"lifting": tests, "cycles": tests.take([1])}
     document = Document("Validation", "two tests", signals=Signals(sections, "mm", {"lifting_command": "A"}))
-    place = tmp_path_factory.mktemp("interactive") / "interactive.html"
-    place.write_bytes(render(document, "interactive"))
-    return place.as_uri()
+    path = tmp_path_factory.mktemp("interactive") / "interactive.html"
+    path.write_bytes(render(document, "interactive"))
+    return path.as_uri()
 
 
 @pytest.fixture
@@ -85,7 +85,7 @@ def test_values_at_the_cursor_are_those_of_the_data(opened):
     for share in (0.2, 0.55, 0.9):
         box = canvas(page).bounding_box()
         page.mouse.move(box["x"] + share * box["width"], box["y"] + 40)
-        found, at = values(page), sample_at(page)
+        read_out, at = values(page), sample_at(page)
         expected = {
             "time": tests.time_s[0][at],
             "command-0": tests.commands["lifting_command"][0][at],
@@ -96,13 +96,13 @@ def test_values_at_the_cursor_are_those_of_the_data(opened):
             "band-upper": tests.band[1][0][at],
         }
         for name, value in expected.items():
-            assert found[name][0] == pytest.approx(value, rel=DIGITS), name
+            assert read_out[name][0] == pytest.approx(value, rel=DIGITS), name
         error = tests.actual[0][at] - tests.models["free_run"][0][at]
         # The difference of two numbers near 100 in single precision.
-        assert found["free_run"][1] == pytest.approx(error, rel=DIGITS, abs=2 * 140 * 2.0**-23)
+        assert read_out["free_run"][1] == pytest.approx(error, rel=DIGITS, abs=2 * 140 * 2.0**-23)
 
 
-def test_the_wheel_zooms_around_the_pointer_and_a_double_click_resets(opened):
+def test_the_wheel_zooms_around_the_pointer_double_click_resets(opened):
     page = opened()
     assert shown_range(page) == [0.0, pytest.approx(DURATION_S)]
     box = canvas(page).bounding_box()

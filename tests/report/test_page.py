@@ -118,7 +118,7 @@ def test_a_page_is_html_with_charset_title_and_language(text, root):
     assert title.text == "A report"
 
 
-def test_headings_begin_with_one_of_the_first_level_and_skip_none(root):
+def test_headings_begin_at_the_first_level_and_skip_none(root):
     levels = [int(heading.tag[1]) for heading in root.all("h1", "h2", "h3", "h4", "h5", "h6")]
     assert levels[0] == 1
     assert levels.count(1) == 1
@@ -140,7 +140,7 @@ def test_identifiers_differ_and_links_lead_to_sections(root):
         assert heading.text == link.text
 
 
-def test_sections_of_one_name_in_several_have_identifiers_of_their_own():
+def test_sections_of_one_name_have_identifiers_of_their_own():
     both = tuple(
         ReportSection(mode, sections=(ReportSection("Trust"), ReportSection("Errors")))
         for mode in ("Up", "Down")
@@ -178,7 +178,7 @@ def test_a_table_without_a_row_is_still_a_table():
 # --- figures ------------------------------------------------------------------------------------------------
 
 
-def test_a_figure_has_a_caption_and_an_image_with_a_text(root):
+def test_a_figure_has_a_caption_and_image_with_text(root):
     figures = list(root.all("figure"))
     assert [figure["id"] for figure in figures] == ["figure-curve", "figure-long"]
     for figure in figures:
@@ -268,5 +268,5 @@ def test_columns_of_numbers_stand_right_head_and_cells(root):
     ],
 )
 def test_a_column_of_numbers_has_numbers_only(cells, right):
-    found = Table("", ("name", "value"), tuple(("row", cell) for cell in cells)).numeric
-    assert found == [False, right]
+    is_numeric = Table("", ("name", "value"), tuple(("row", cell) for cell in cells)).numeric
+    assert is_numeric == [False, right]

@@ -50,7 +50,7 @@ def words(tmp_path):
     return said
 
 
-def test_a_pdf_has_an_outline_a_reading_order_and_no_time(content):
+def test_a_pdf_has_outline_and_reading_order_and_no_time(content):
     assert content.startswith(b"%PDF-")
     assert content.rstrip().endswith(b"%%EOF")
     assert set(re.findall(rb"D:(\d{4})", content)) <= {b"1970"}
@@ -90,7 +90,7 @@ def test_text_that_is_markup_elsewhere_stays_text(made, words):
             assert f"{front}{hostile}".replace(" ", "") in shown, front
 
 
-def test_a_long_table_repeats_its_header_and_an_empty_one_stays(made, words):
+def test_a_long_table_repeats_its_header_an_empty_one_stays(made, words):
     rows = tuple((f"test-{number:03d}", f"{number}.5") for number in range(120))
     long = Table("lifting: all", ("test of the series", "RMSE / mm"), rows)
     empty = Table("lifting: nothing", ("model", "RMSE / mm"), ())

@@ -107,8 +107,8 @@ def titles(sections):
 
 
 def section(document, title):
-    (found,) = (section for section in document.sections if section.title == title)
-    return found
+    (matching,) = (section for section in document.sections if section.title == title)
+    return matching
 
 
 def findings(verdict, *words):
@@ -118,8 +118,8 @@ def findings(verdict, *words):
 
 def finding(verdict, *words):
     """Return the one finding that says some words."""
-    (found,) = findings(verdict, *words)
-    return found
+    (matching,) = findings(verdict, *words)
+    return matching
 
 
 # --- what a report holds ------------------------------------------------------------------------------------
@@ -217,7 +217,7 @@ def judged(validated):
             for name in (*BASELINES, "benchmark")
             if name in rows
         }
-        models = {name: found for name, found in lifting.accuracy.models.items() if name not in BASELINES}
+        models = {name: figures for name, figures in lifting.accuracy.models.items() if name not in BASELINES}
         accuracy = replace(
             lifting.accuracy, predictions=replace(tests, models=rows), models={**models, **baselines}
         )
@@ -335,20 +335,20 @@ def test_the_table_of_logs_has_every_log_with_its_hash(report, logs, campaign):
 
 
 def test_the_table_of_logs_says_what_each_was_used_for(logs, tmp_path):
-    place = shutil.copytree(logs, tmp_path / "logs")
+    copy = shutil.copytree(logs, tmp_path / "logs")
     still = {name: np.zeros(60) for name in ("current_up_A", "current_down_A")}
     columns = {"time_s": 0.01 * np.arange(60), **still, "displacement_mm": np.full(60, 7.0)}
-    write_table(place / "resting.csv", columns)
-    (place / "campaign.toml").write_text('[tests]\n"lowering-03" = "ramp"')
-    campaign = read(place)
+    write_table(copy / "resting.csv", columns)
+    (copy / "campaign.toml").write_text('[tests]\n"lowering-03" = "ramp"')
+    campaign = read(copy)
     records = {record.name: record for record in campaign.records}
     used = Provenance(
         identification={LIFTING: ("lifting-01", "lifting-02")},
         validation={LIFTING: ("lifting-02",)},
         seen=frozenset(records[name].fingerprint for name in ("lifting-01", "lifting-02")),
     )
-    found = logs_section(log_data(handmade.hitch("integrator", provenance=used), campaign))
-    (table,) = blocks(found, Table)
+    section = logs_section(log_data(handmade.hitch("integrator", provenance=used), campaign))
+    (table,) = blocks(section, Table)
     assert {row[0]: row[2] for row in table.rows} == {
         "lifting-01": "identification",
         "lifting-02": "early stopping",
@@ -362,14 +362,14 @@ def test_the_table_of_logs_says_what_each_was_used_for(logs, tmp_path):
 
 
 def test_what_the_audit_found_stands_with_the_logs(logs, tmp_path):
-    place = shutil.copytree(logs, tmp_path / "logs")
-    (path,) = place.glob("lifting-02.csv")
+    copy = shutil.copytree(logs, tmp_path / "logs")
+    (path,) = copy.glob("lifting-02.csv")
     header, *rows = path.read_text().splitlines()
     for row, reading in ((90, "9.0"), (120, "999.0")):  # a spike within the travel, an error code outside
         rows[row] = f"{rows[row].rpartition(',')[0]},{reading}"
     path.write_text("\n".join([header, *rows, ""]))
-    found = logs_section(log_data(PLAIN, read(place)))
-    sentences = [item for group in blocks(found, Findings) for item in group.items]
+    section = logs_section(log_data(PLAIN, read(copy)))
+    sentences = [item for group in blocks(section, Findings) for item in group.items]
     for words in ("lifting-02: spikes", "lifting-02: not measured: 1 of 250 samples"):
         assert any(item.level is Rating.CAUTION and words in item.sentence for item in sentences)
 
@@ -505,7 +505,7 @@ def test_a_report_is_written_with_figures_and_further_files(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["pdf", "xlsx"])
-def test_a_format_that_cannot_be_made_is_refused_before_any_work(tmp_path, monkeypatch, kind):
+def test_a_format_that_cannot_be_made_is_refused_first(tmp_path, monkeypatch, kind):
     write(tmp_path / "out")
     page = (tmp_path / "out" / "report.html").read_bytes()
     monkeypatch.setattr("hitchid.report.write.find_spec", lambda name: None)
@@ -524,12 +524,12 @@ def test_a_format_that_cannot_be_made_is_refused_before_any_work(tmp_path, monke
 
 
 def test_logs_of_any_name_are_reported(logs, tmp_path):
-    place = shutil.copytree(logs, tmp_path / "logs")
+    logs_copy = shutil.copytree(logs, tmp_path / "logs")
     half, markup = "\udcff", "$\\frac$ <script>& #1b1b1f"
-    (place / "lifting-01.csv").rename(place / f"lifting-{half}.csv")
-    shutil.copy(place / "cycle-01.csv", place / f"cycle-{half}.csv")
-    (place / "cycle-01.csv").rename(place / f"cycle-{markup}.csv")
-    campaign, model = read(place), PARTS["lifting alone"]
+    (logs_copy / "lifting-01.csv").rename(logs_copy / f"lifting-{half}.csv")
+    shutil.copy(logs_copy / "cycle-01.csv", logs_copy / f"cycle-{half}.csv")
+    (logs_copy / "cycle-01.csv").rename(logs_copy / f"cycle-{markup}.csv")
+    campaign, model = read(logs_copy), PARTS["lifting alone"]
     document = validate(model, campaign).report()
     write_report(tmp_path / "out", document, {"metrics.json": b"{}"}, mark="metrics.json")
     page = (tmp_path / "out" / "report.html").read_text()

@@ -47,9 +47,9 @@ def test_every_table_is_there_by_its_name(tables):
 def test_figures_are_those_of_the_json_bit_for_bit(tables, metrics):
     channel = metrics["channels"]["lifting"]
     models = {**channel["baselines"], "benchmark": channel["benchmark"], "greybox": channel["greybox"]}
-    found = rows(tables["lifting-accuracy"])
-    assert len(found) == sum(len(runs) for runs in models.values())
-    for row in found:
+    accuracy = rows(tables["lifting-accuracy"])
+    assert len(accuracy) == sum(len(runs) for runs in models.values())
+    for row in accuracy:
         figures = models[row["model"]][row["run"]]
         assert row["rmse_mm"] == figures["rmse"]
         assert row["rmse_standard_error_mm"] == figures["rmse_error"]
@@ -78,31 +78,31 @@ def test_the_load_of_a_speed_map_has_its_unit(tables):
     assert origins == ["model"] * 9 + ["measured"] * 2
 
 
-def test_files_lie_beside_the_json_and_read_back_as_the_table(tables, tmp_path):
-    place = tmp_path / "out"
-    validated.validation().write(place)
-    assert {path.stem for path in (place / "tables").glob("*.csv")} == EXPECTED
-    with (place / "tables" / "lifting-accuracy.csv").open() as file:
+def test_files_lie_beside_the_json_and_read_back_alike(tables, tmp_path):
+    out = tmp_path / "out"
+    validated.validation().write(out)
+    assert {path.stem for path in (out / "tables").glob("*.csv")} == EXPECTED
+    with (out / "tables" / "lifting-accuracy.csv").open() as file:
         header, *cells = csv.reader(file)
     table = tables["lifting-accuracy"]
     assert tuple(header) == table.columns
     at = header.index("rmse_mm")
     assert [float(row[at]) if row[at] else None for row in cells] == [row[at] for row in table.rows]
-    assert json.loads((place / "metrics.json").read_text())["unit"] == "mm"
+    assert json.loads((out / "metrics.json").read_text())["unit"] == "mm"
 
 
-def test_a_folder_is_replaced_by_force_alone_unless_it_was_changed(tmp_path):
-    place = tmp_path / "out"
+def test_a_folder_is_replaced_by_force_alone_unless_changed(tmp_path):
+    out = tmp_path / "out"
     result = validated.validation()
-    result.write(place)
+    result.write(out)
     with pytest.raises(OutputError, match="--force"):
-        result.write(place)
+        result.write(out)
     written = []
     for _ in range(2):
-        write_report(place, result.report(), result.files(), mark="metrics.json", force=True)
-        written.append({path: path.read_bytes() for path in place.rglob("*.*") if path.is_file()})
+        write_report(out, result.report(), result.files(), mark="metrics.json", force=True)
+        written.append({path: path.read_bytes() for path in out.rglob("*.*") if path.is_file()})
     assert len(written[0]) > 40
     assert written[0] == written[1]
-    (place / "tables" / "logs.csv").write_text("mine")
+    (out / "tables" / "logs.csv").write_text("mine")
     with pytest.raises(OutputError, match=r"tables/logs\.csv"):
-        result.write(place, force=True)
+        result.write(out, force=True)

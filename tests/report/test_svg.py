@@ -61,12 +61,12 @@ def test_rounding_moves_no_point_by_more_than_a_hundredth():
     axes.set_axis_off()
     axes.set_xlim(0, 1)
     axes.set_ylim(0, 1)
-    place = np.array([0.1234567, 0.7654321])
-    axes.plot(place, place)
+    points = np.array([0.1234567, 0.7654321])
+    axes.plot(points, points)
     # The curve is drawn last, upon the paper.
     *_, line = re.findall(r'd="M ([\d.]+) ([\d.]+) *\n?L ([\d.]+) ([\d.]+)', svg(figure))
     # One inch is 72 pt, and the axis of SVG points down.
-    expected = [72 * place[0], 72 * (1 - place[0]), 72 * place[1], 72 * (1 - place[1])]
+    expected = [72 * points[0], 72 * (1 - points[0]), 72 * points[1], 72 * (1 - points[1])]
     np.testing.assert_allclose(np.array(line, dtype=float), expected, rtol=0, atol=0.0051)
 
 
@@ -93,7 +93,7 @@ def test_every_colour_of_the_palette_became_one_of_the_page(files, page):
     assert used <= {name.replace("_", "-") for name in SHADES}
 
 
-def test_black_of_matplotlib_does_not_stay_where_the_page_is_dark(page):
+def test_black_of_matplotlib_does_not_stay_on_a_dark_page(page):
     # A shape without a fill or stroke of its own is black; only shapes in definitions may leave it open.
     root = ElementTree.fromstring(page.encode())  # noqa: S314 - our own
     parents = {child: parent for parent in root.iter() for child in parent}
@@ -140,7 +140,7 @@ def test_numbers_that_are_read_keep_all_their_digits(name):
     assert f">{name}</text>" in svg(figure)
 
 
-def test_a_name_like_a_colour_or_reference_stays_as_it_is():
+def test_a_name_like_a_colour_or_reference_stays():
     name = f'log {COLOURS["ink"]} url(#a) id="x" <b>'
     figure = Figure()
     figure.text(0.1, 0.1, name)

@@ -31,7 +31,7 @@ def test_the_legend_names_what_occurs_and_the_commands(drawn):
         assert texts == [*kinds, "lifting command", "lowering command"]
 
 
-def test_every_record_has_its_name_its_signals_and_axes_with_units(drawn):
+def test_every_record_has_name_signals_and_axes_with_units(drawn):
     axes = timeline(drawn).axes
     assert len(axes) == 2 * len(drawn)
     for number, (record, found) in enumerate(drawn):
@@ -46,7 +46,7 @@ def test_every_record_has_its_name_its_signals_and_axes_with_units(drawn):
 
 
 @pytest.mark.parametrize(("ending", "begins"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")])
-def test_a_picture_has_its_names_format_and_replaces_by_force_only(drawn, tmp_path, ending, begins):
+def test_a_picture_has_its_names_format_and_needs_force(drawn, tmp_path, ending, begins):
     path = tmp_path / f"logs.{ending}"
     path.write_text("mine")
     with pytest.raises(OutputError, match="exists already"):

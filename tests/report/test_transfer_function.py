@@ -55,7 +55,7 @@ def test_text_and_mathml_are_the_transfer_function(structure, dead_time_s):
     assert written.text in render(document, "markdown").decode()
 
 
-def test_small_coefficients_are_powers_of_ten_and_ones_are_left_out():
+def test_small_coefficients_are_powers_of_ten_ones_are_left_out():
     written = equation(physical_model("integrator-second-order", 25.0, 500.0, 0.5))
     assert written.text == "G(s) = 25 / (4·10⁻⁶ s³ + 0.002 s² + s)"
     assert equation(physical_model("integrator", 1.0)).text == "G(s) = 1 / s"

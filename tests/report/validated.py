@@ -39,9 +39,9 @@ def accuracy():
 @cache
 def validation():
     """Return a validation of lifting and of cycles."""
-    found = accuracy()
+    errors = accuracy()
     channel = ChannelResult(
-        found,
+        errors,
         {"one_step": reported.residuals(), "free_run": reported.residuals(seed=1)},
         parameters=reported.known_estimates(),
         paper_parameters=reported.known_estimates(*reported.ESTIMATES[:2]),
@@ -49,9 +49,9 @@ def validation():
         load_scatter=reported.load_scatter(),
         searches=tuple(reported.searches()),
     )
-    cycles = CycleResult(Accuracy(found.models, found.horizons, found.per_test, found.predictions), None)
+    cycles = CycleResult(Accuracy(errors.models, errors.horizons, errors.per_test, errors.predictions), None)
     model = handmade.hitch("integrator-second-order", modes=(LIFTING,), dead_time_s=0.03)
     model = replace(model, units={**model.units, "head_pressure": "bar"})
-    signals = {"displacement": found.predictions.actual[0], "lifting_command": np.full(SIZES[0], 0.5)}
+    signals = {"displacement": errors.predictions.actual[0], "lifting_command": np.full(SIZES[0], 0.5)}
     record = Record("up-01", reported.STEP_S, signals, {"displacement": "mm", "lifting_command": "A"})
     return Validation("mm", {LIFTING: channel}, cycles, None, ("a notice",), model, Campaign.of([record]))

@@ -88,7 +88,7 @@ def test_tests_that_either_has_seen_are_left_out_for_both(campaign):
 
 def test_the_figures_are_those_of_two_validations(campaign):
     compared = compare([RIGHT, SLOW], campaign)
-    for model, metrics in zip((RIGHT, SLOW), (each.metrics for each in compared), strict=True):
+    for model, metrics in zip((RIGHT, SLOW), (validation.metrics for validation in compared), strict=True):
         assert metrics == validate(model, campaign).metrics
     runs = compared.free_runs(LIFTING)
     for name, model in (("A", RIGHT), ("B", SLOW)):

@@ -201,25 +201,6 @@ def test_short_tests_have_fewer_lags(lengths, used):
     assert tests.autocorrelation_bounds == pytest.approx([2.5758293 / np.sqrt(n) for n in pairs[1:]])
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"errors": [np.zeros(7)]}, "commands: expected the shapes"),
-        ({"errors": [np.zeros((4, 2))]}, r"each \[N_i\]"),
-        ({"speeds": [np.zeros(9), np.zeros(2)]}, "speeds: expected the shapes"),
-        ({"commands": [np.array([0.0] * 8 + [np.nan])]}, "commands of test 0: .* got nan at sample 8"),
-        ({"displacements": [np.full(9, np.inf)]}, "displacements of test 0: .* got inf at sample 0"),
-        ({"step_s": 0.0}, "positive step_s"),
-        ({"step_s": float("nan")}, "positive step_s"),
-        ({"lags": 0}, "at least 1 lag"),
-    ],
-)
-def test_what_cannot_be_tested_is_refused(change, message):
-    usual = {name: [np.zeros(9)] for name in ("errors", "commands", "displacements", "speeds")}
-    with pytest.raises(InputError, match=message):
-        residual_tests(**{**usual, "step_s": STEP_S, **change})
-
-
 @pytest.mark.parametrize("lengths", [(), (3, 0, 4)])
 def test_fewer_than_eight_samples_are_refused(lengths):
     with pytest.raises(InputError, match=rf"^expected at least 8 samples, got {sum(lengths)}"):

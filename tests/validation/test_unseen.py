@@ -68,5 +68,5 @@ def test_a_held_out_log_changes_nothing_but_the_validation(cycles, tmp_path):
         validate(model, Campaign.of(cycles[:3]))
     # A test that is not held out does change the model.
     other = identify(Campaign.of([spoilt(cycles[0]), *cycles[1:]]), **{**QUICK, "training": None}).model
-    values = [each.channels[LIFTING].benchmark.values for each in (model, other)]
+    values = [hitch.channels[LIFTING].benchmark.values for hitch in (model, other)]
     assert np.all(values[0] != values[1])

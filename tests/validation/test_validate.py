@@ -15,8 +15,8 @@ from hitchid.logs.campaign import Campaign
 from hitchid.logs.record import LIFTING, LOWERING
 from hitchid.model import Provenance, SearchSummary, TwoModes, remove_padding
 from hitchid.validation import compare, validate
-from hitchid.validation.cycles import ORIGIN_STRIDE
 from hitchid.validation.results import NAMES
+from hitchid.validation.validate import ORIGIN_STRIDE
 from truth import STEP_S, levels
 
 SIZES = (200, 150, 180)
@@ -91,7 +91,7 @@ def jackknife(misses):
     if len(misses) == 1:
         return None
     rest = [np.concatenate([m for k, m in enumerate(misses) if k != out]) for out in range(len(misses))]
-    figures = np.array([np.sqrt(np.mean(each**2)) for each in rest])
+    figures = np.array([np.sqrt(np.mean(errors**2)) for errors in rest])
     return np.sqrt((len(misses) - 1) * np.mean((figures - figures.mean()) ** 2))
 
 
@@ -103,9 +103,9 @@ def test_persistence_is_the_displacement_measured_before(judged):
     assert channel["baselines"]["persistence"]["one_step"] == pytest.approx(expected, rel=1e-12)
     horizons = channel["horizons"]
     assert horizons["steps"] == list(HORIZONS)
-    for step, found in zip(horizons["steps"], horizons["persistence"], strict=True):
+    for step, error in zip(horizons["steps"], horizons["persistence"], strict=True):
         rmse = by_hand([y[step:] for y in measured], [y[:-step] for y in measured])["rmse"]
-        assert found == pytest.approx(rmse, rel=1e-12)
+        assert error == pytest.approx(rmse, rel=1e-12)
 
 
 def measuring(record):
@@ -118,10 +118,10 @@ def test_a_test_that_lacks_a_covariate_is_left_out(tests_of):
     model = hitch_of(channel(LIFTING, shape=True), channel(LOWERING))
     (bare, *others), lowering = tests_of(), tests_of(LOWERING)
     complete = [*map(measuring, others), *lowering]
-    found = validate(model, Campaign.of([bare, *complete]))
+    validation = validate(model, Campaign.of([bare, *complete]))
     without = validate(model, Campaign.of(complete))
-    assert found.metrics == without.metrics
-    assert found.notices == (
+    assert validation.metrics == without.metrics
+    assert validation.notices == (
         "lifting-00: left out: record 'lifting-00' has no 'pressure'; the model requires this covariate",
         "1 of 6 tests left out",
         *without.notices,
@@ -130,7 +130,7 @@ def test_a_test_that_lacks_a_covariate_is_left_out(tests_of):
     first, second = compared
     assert first.metrics == without.metrics
     assert second.metrics["channels"][LIFTING]["tests"] == ["lifting-01", "lifting-02"]
-    assert compared.notices[:2] == found.notices[:2]
+    assert compared.notices[:2] == validation.notices[:2]
     for refused in (Campaign.of([bare]), Campaign.of([bare, *complete], strict=True)):
         with pytest.raises(InputError, match="record 'lifting-00' has no 'pressure'"):
             validate(model, refused)
@@ -147,9 +147,9 @@ def test_the_benchmark_runs_freely_and_from_the_last_measurement(tests_of, mode)
         for record, start in zip(records, starts, strict=True)
     ]
     assert channel["benchmark"]["free_run"] == pytest.approx(by_hand(measured, free), rel=1e-9)
-    for step, found in zip(channel["horizons"]["steps"], channel["horizons"]["benchmark"], strict=True):
+    for step, rmse in zip(channel["horizons"]["steps"], channel["horizons"]["benchmark"], strict=True):
         anchored = [y[:-step] + f[step:] - f[:-step] for y, f in zip(measured, free, strict=True)]
-        assert found == pytest.approx(by_hand([y[step:] for y in measured], anchored)["rmse"], rel=1e-9)
+        assert rmse == pytest.approx(by_hand([y[step:] for y in measured], anchored)["rmse"], rel=1e-9)
 
 
 def test_the_grey_box_is_judged_by_what_it_gives(judged):
@@ -267,9 +267,9 @@ def test_a_jump_is_a_step_unlike_both_its_neighbours(tests_of, make_record, brie
     # An integrator is at its new speed at once: only a stroke of one sample has no step like its own.
     for unit, factor in (("mm", 1.0), ("m", 1e-3)):
         record = make_record(exact(lifting, lowering), lifting, lowering, name="cycle")
-        records = [each.convert({"displacement": unit}) for each in [*tests_of(), record]]
-        found = validate(hitch(), Campaign.of(records)).metrics["cycles"]["max_jump"]
-        assert found == pytest.approx(factor * jump, abs=1e-9 * factor)
+        records = [test.convert({"displacement": unit}) for test in [*tests_of(), record]]
+        max_jump = validate(hitch(), Campaign.of(records)).metrics["cycles"]["max_jump"]
+        assert max_jump == pytest.approx(factor * jump, abs=1e-9 * factor)
 
 
 def test_the_comparison_of_two_modes_is_told_with_its_sentence(judged):
@@ -350,7 +350,7 @@ def one_way(record):
 
 
 def test_a_model_may_stand_for_the_papers_method(tests_of):
-    compared = {mode: replace(each, paper=None) for mode, each in MODELS.rivals.items()}
+    compared = {mode: replace(own, paper=None) for mode, own in MODELS.rivals.items()}
     model = replace(MODELS, rivals=compared)
     channel = validate(model, Campaign.of(tests_of())).metrics["channels"][LIFTING]
     assert channel["baselines"]["paper"]["one_step"] == channel["greybox"]["one_step"]

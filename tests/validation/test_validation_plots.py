@@ -105,10 +105,10 @@ def test_residuals_show_correlations_with_bounds_and_errors_in_bins():
         assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(max(bounds))
     for axes, binned in zip(drawn[2:], expected.by_quantity.values(), strict=True):
         spreads, means = axes.get_lines()[0:-1:2], axes.get_lines()[1:-1:2]
-        assert [set(line.get_ydata()) for line in means] == [{each.mean} for each in binned.bins]
-        for line, each in zip(spreads, binned.bins, strict=True):
+        assert [set(line.get_ydata()) for line in means] == [{error_bin.mean} for error_bin in binned.bins]
+        for line, error_bin in zip(spreads, binned.bins, strict=True):
             low, high = line.get_ydata()
-            assert ((high - low) / 2) ** 2 + each.mean**2 == pytest.approx(each.rmse**2)
+            assert ((high - low) / 2) ** 2 + error_bin.mean**2 == pytest.approx(error_bin.rmse**2)
     assert [axes.get_xlabel() for axes in drawn[2:]] == ["displacement / mm", "speed / (mm/s)", "command / A"]
 
 

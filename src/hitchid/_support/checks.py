@@ -10,7 +10,7 @@ from typing import ParamSpec, TypeVar
 
 import numpy as np
 
-from hitchid._support.tables import shortened
+from hitchid._support.screen import shortened
 from hitchid.errors import InputError
 
 Kind = TypeVar("Kind")

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from hitchid._support.tables import GAP, MAX_WIDTH, count, screen, shortened
+from hitchid._support.numbers import count
+from hitchid._support.screen import GAP, MAX_WIDTH, screen, shortened
 
 # A `repr` of at most one screen for records whose fields may hold arrays or many items.
 

@@ -1,53 +1,40 @@
-"""Tables of results as data: numbers at full precision, units in the names of the columns."""
+"""Tables: records in columns, which are text on pages and screens, and data at full precision in files."""
 
 import abc
 import csv
-import textwrap
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from io import StringIO
 from itertools import zip_longest
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hitchid._support.inert import html_text, printable, spreadsheet_text
+from hitchid._support import numbers
+from hitchid._support.inert import html_text, spreadsheet_text
+from hitchid._support.records import short_repr
+from hitchid._support.screen import GAP, MAX_WIDTH, NOTE_LINES, screen, shortened, wrapped
 from hitchid.errors import InputError
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-# Tables as pandas DataFrames; pandas is imported only where one is requested.
+class Faint(str):
+    """A cell of a table in grey: the best-fit value of what the tests do not determine."""
+
+    __slots__ = ()
 
 
-def dataframe(table: Mapping[str, object] | Sequence[Mapping[str, object]]) -> "DataFrame":
-    """Return columns, or rows that are column name to value, as a DataFrame; None becomes a missing value.
-
-    Raises:
-        InputError: pandas is not installed.
-    """
-    try:
-        import pandas as pd
-    except ImportError as error:
-        raise InputError("pandas is required for DataFrames: pip install 'hitchid[pandas]'") from error
-    return pd.DataFrame(dict(table) if isinstance(table, Mapping) else list(table))
-
-
-# What an object shows of itself: at most one screen of text, and in notebooks a table with a picture.
-
-MAX_LINES, MAX_WIDTH = 25, 110  # lines and characters of a screen; chosen
-NOTE_LINES, NAME_WIDTH = 3, 24  # lines of a note; characters of a name among others; chosen
-GAP = "  "  # between columns
-
-
+@short_repr
 @dataclass(frozen=True)
-class Summary:
-    """A title, a table and notes.
+class Table:
+    """A table of text, for pages and screens.
 
     Attributes:
-        title: one sentence without full stop.
-        header, rows: texts of the cells; the last column is wrapped.
+        title: what it shows, without full stop.
+        header: of each column.
+        rows: texts of the cells, names in the first column; on a screen the last column is wrapped.
         notes: sentences below the table, as text at most three lines each.
         pictures: SVG element of each row, shown in HTML only; empty for none.
     """
@@ -55,8 +42,14 @@ class Summary:
     title: str
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
-    notes: tuple[str, ...] = ()
-    pictures: tuple[str, ...] = ()
+    notes: tuple[str, ...] = field(default=(), repr=False)
+    pictures: tuple[str, ...] = field(default=(), repr=False)
+
+    @property
+    def numeric(self) -> list[bool]:
+        """Whether each column contains numbers."""
+        columns = zip(*self.rows, strict=True) if self.rows else [()] * len(self.header)
+        return [any(column) and all(map(_is_number, column)) for column in columns]
 
     def text(self) -> str:
         """Return at most 25 lines of at most 110 characters."""
@@ -84,11 +77,20 @@ class Summary:
         )
 
 
+def _is_number(cell: str) -> bool:
+    return cell in ("diverged", "any") or not any(letter.isalpha() for letter in cell.replace("e", ""))
+
+
+def _html_row(tag: str, cells: Iterable[str], end: str = "") -> str:
+    style = ' style="text-align: left"'
+    return "<tr>" + "".join(f"<{tag}{style}>{html_text(cell)}</{tag}>" for cell in cells) + end + "</tr>"
+
+
 class Summarised(abc.ABC):
-    """Base of an object that shows its summary; a dataclass is declared with `repr=False`."""
+    """Base of an object that shows itself as a table; a dataclass is declared with `repr=False`."""
 
     @abc.abstractmethod
-    def _summary(self) -> Summary:
+    def _summary(self) -> Table:
         """Return what is shown."""
 
     def __repr__(self) -> str:
@@ -99,91 +101,20 @@ class Summarised(abc.ABC):
         return self._summary().html()
 
 
-def screen(lines: Sequence[str], last: Sequence[str] = ()) -> str:
-    """Return lines and last lines as text; lines too many are counted instead, long ones are cut."""
-    last = last[: MAX_LINES // 2]
-    room = MAX_LINES - len(last)
-    if len(lines) > room:
-        lines = [*lines[: room - 1], f"{GAP}… {len(lines) - room + 1} more lines"]
-    texts = [printable(line) for line in [*lines, *last]]
-    return "\n".join(text if len(text) <= MAX_WIDTH else f"{text[: MAX_WIDTH - 1]}…" for text in texts)
+# Tables as data; pandas is imported only where a DataFrame is requested.
 
 
-def shortened(text: str, width: int = MAX_WIDTH) -> str:
-    """Return a text on one line, cut with an ellipsis where it is longer than `width` characters."""
-    line = " ".join(printable(text).split())
-    return line if len(line) <= width else f"{line[: width - 1]}…"
+def dataframe(table: Mapping[str, object] | Sequence[Mapping[str, object]]) -> "DataFrame":
+    """Return columns, or rows that are column name to value, as a DataFrame; None becomes a missing value.
 
-
-def count(number: int, noun: str) -> str:
-    """Return a number with a noun, in the plural unless the number is 1."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
-
-
-def first_notes(notes: Sequence[str], maximum: int, attribute: str) -> tuple[str, ...]:
-    """Return the first notes, and how many more an attribute of the object holds."""
-    more = len(notes) - maximum
-    return (*notes[:maximum], *([f"and {more} more: see .{attribute}"] if more > 0 else []))
-
-
-def first_to_last(names: Sequence[str]) -> str:
-    """Return one or two names, or the first and the last of more."""
-    shown = [shortened(name, NAME_WIDTH) for name in (names if len(names) <= 2 else (names[0], names[-1]))]
-    return (", " if len(names) <= 2 else " … ").join(shown)
-
-
-def wrapped(start: str, text: str) -> list[str]:
-    """Return a text in lines that fit on the screen, the first after `start`, the others indented as far."""
-    lines = textwrap.wrap(" ".join(text.split()), max(MAX_WIDTH - len(start), MAX_WIDTH // 4)) or [""]
-    return [(start + lines[0]).rstrip(), *(" " * len(start) + line for line in lines[1:])]
-
-
-def _html_row(tag: str, cells: Iterable[str], end: str = "") -> str:
-    style = ' style="text-align: left"'
-    return "<tr>" + "".join(f"<{tag}{style}>{html_text(cell)}</{tag}>" for cell in cells) + end + "</tr>"
-
-
-# A small picture of curves as one SVG element, in the colour of the text around it.
-
-WIDTH, HEIGHT, MARGIN = 220, 48, 2  # pixels; chosen
-COLUMNS = 55  # of the picture, one for four pixels: each shows the least and the largest sample in it
-OPACITIES = (1.0, 0.45, 0.25)  # of the first curve and those below it; chosen
-
-
-def sparkline(curves: Sequence[np.ndarray], label: str, scales: Sequence[np.ndarray] | None = None) -> str:
-    """Return curves over their sample number.
-
-    Args:
-        curves: the first is drawn strongest; each of shape [N].
-        label: text for screen readers.
-        scales: for each curve the values between whose least and largest it is drawn; by default its own.
+    Raises:
+        InputError: pandas is not installed.
     """
-    lines = []
-    for curve, scale, opacity in zip(curves, scales or curves, OPACITIES, strict=False):
-        positions, values = _thinned(curve)
-        ends = scale[np.isfinite(scale)]
-        if not values.size or not ends.size:
-            continue
-        lowest, span = ends.min(), np.ptp(ends) or 1.0
-        x = MARGIN + (WIDTH - 2 * MARGIN) * positions
-        y = HEIGHT - MARGIN - (HEIGHT - 2 * MARGIN) * np.clip((values - lowest) / span, 0.0, 1.0)
-        points = " ".join(f"{left:.0f},{top:.1f}" for left, top in zip(x, y, strict=True))
-        lines.append(f'<polyline points="{points}" stroke-opacity="{opacity}"/>')
-    return (
-        f'<svg role="img" aria-label="{html_text(label)}" width="{WIDTH}" height="{HEIGHT}" '
-        f'viewBox="0 0 {WIDTH} {HEIGHT}" fill="none" stroke="currentColor">{"".join(reversed(lines))}</svg>'
-    )
-
-
-def _thinned(curve: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions from 0 to 1 and values: in each column of the picture the least and the largest."""
-    samples = np.asarray(curve, dtype=np.float64)
-    rows = np.flatnonzero(np.isfinite(samples))
-    if rows.size > 2 * COLUMNS:
-        columns = np.array_split(rows, COLUMNS)
-        extremes = [(part[samples[part].argmin()], part[samples[part].argmax()]) for part in columns]
-        rows = np.unique(extremes)
-    return rows / max(1, samples.size - 1), samples[rows]
+    try:
+        import pandas as pd
+    except ImportError as error:
+        raise InputError("pandas is required for DataFrames: pip install 'hitchid[pandas]'") from error
+    return pd.DataFrame(dict(table) if isinstance(table, Mapping) else list(table))
 
 
 TABLES = "tables"  # folder of the CSV files in a folder of results
@@ -192,7 +123,7 @@ Cell = str | float | int | bool | None
 
 @dataclass(frozen=True, repr=False)
 class DataTable:
-    """One table of results.
+    """A table of values, for files and programs.
 
     Attributes:
         name: of its file without suffix, and of its sheet in a workbook.
@@ -239,6 +170,97 @@ class DataTable:
         """
         rows = [dict(zip(self.columns, row, strict=True)) for row in self.rows]
         return dataframe(rows).reindex(columns=list(self.columns))
+
+
+# One list of columns is what a fact looks like, on pages and in files. Text and value are functions of the
+# whole record: on a page one cell may say several of its fields, such as a value to the digits of its error.
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table of records.
+
+    Attributes:
+        key: name in files, with its unit, such as `rmse_mm`; empty for a column of pages alone.
+        label: heading on pages, such as `RMSE / mm`; empty for a column of files alone.
+        value: record to the cell in files, at full precision; None where the record has no value.
+        text: record to the cell on pages; the value where it is left out.
+    """
+
+    key: str = ""
+    label: str = ""
+    value: Callable[[Any], Any] = field(default=lambda record: None)
+    text: Callable[[Any], str] | None = None
+
+    def shown(self, record: object) -> str:
+        """Return the cell of a record on pages."""
+        return str(self.value(record)) if self.text is None else self.text(record)
+
+
+def field_of(name: str) -> Callable[[Any], Any]:
+    """Return a function for a field of a record, which is None where the record has no such field."""
+    return lambda record: getattr(record, name, None)
+
+
+def field_column(name: str, label: str | None = None, text: Callable[[Any], str] | None = None) -> Column:
+    """Return a column of a field, called by the field's name in files and, without a label, on pages."""
+    return Column(name, name if label is None else label, field_of(name), text)
+
+
+def number_column(key: str, label: str, value: Callable[[Any], Any]) -> Column:
+    """Return a column of numbers, on pages to four digits."""
+    return Column(key, label, value, lambda record: numbers.digits(value(record)))
+
+
+def interval_columns(
+    key: str, label: str, interval: Callable[[Any], Any], text: Callable[[Any], str] | None = None
+) -> tuple[Column, ...]:
+    """Return an interval as a column for each end in files, one column on pages.
+
+    Args:
+        key: name in files, `{}` for `lower` and `upper`.
+        label: heading on pages.
+        interval: record to the two ends; None where it has no interval.
+        text: record to the cell on pages; the interval where it is left out.
+    """
+    return (
+        Column(key.replace("{}", "lower", 1), value=lambda record: (interval(record) or (None, None))[0]),
+        Column(key.replace("{}", "upper", 1), value=lambda record: (interval(record) or (None, None))[1]),
+        Column(label=label, text=text or (lambda record: numbers.interval(interval(record)))),
+    )
+
+
+@dataclass(frozen=True)
+class RecordTable:
+    """Records in columns.
+
+    Attributes:
+        name: of its file without suffix, and of its sheet in a workbook.
+        title: on pages, without full stop.
+        columns: of both.
+        records: one a row.
+        file_records: further ones, in files alone.
+    """
+
+    name: str
+    title: str
+    columns: tuple[Column, ...]
+    records: tuple[Any, ...]
+    file_records: tuple[Any, ...] = ()
+
+    def shown(self) -> Table:
+        """Return the table for pages."""
+        columns = [column for column in self.columns if column.label]
+        rows = tuple(tuple(column.shown(record) for column in columns) for record in self.records)
+        return Table(self.title, tuple(column.label for column in columns), rows)
+
+    def data(self) -> DataTable:
+        """Return the table for files; without records it has no columns."""
+        records = (*self.records, *self.file_records)
+        # As `DataTable.of_rows` has it, which knows no columns without a row.
+        columns = [column for column in self.columns if column.key and records]
+        rows = tuple(tuple(column.value(record) for column in columns) for record in records)
+        return DataTable(self.name, tuple(column.key for column in columns), rows)
 
 
 def stacked(tables: Mapping[str, Mapping[str, DataTable]], key: str) -> dict[str, DataTable]:

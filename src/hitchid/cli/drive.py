@@ -153,9 +153,9 @@ def _imported(name: str, option: str, functions: tuple[str, ...]) -> Any:
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.insert(0, here)
     try:
-        found = getattr(importlib.import_module(module_name), object_name)
+        imported = getattr(importlib.import_module(module_name), object_name)
     except Exception as error:  # whatever a foreign module raises
         raise InputError(f"{option}: {name} cannot be imported: {error}") from error
-    if not all(callable(getattr(found, function, None)) for function in functions):
+    if not all(callable(getattr(imported, function, None)) for function in functions):
         raise InputError(f"{option}: {name} has no functions `{'` and `'.join(functions)}`")
-    return found
+    return imported

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import typer
 from rich import box
 from rich.table import Table as RichTable
-from rich.text import Text
 
-from hitchid._support.console import PlainConsole, line
+from hitchid._support.console import PlainConsole, line, rich_table
 from hitchid._support.progress_display import progress as progress
+from hitchid._support.tables import Table
 from hitchid.logs.kinds import LABELS
 from hitchid.logs.record import COMMAND, DISPLACEMENT
 
@@ -50,14 +50,14 @@ def show_inspection(inspection: "Inspection") -> None:
             _print_wrapped(sentence, 2)
     if inspection.mixed:
         labels = [label for label in LABELS if any(label in r.durations_s for r in inspection.mixed)]
-        table = _table("mixed record", *(f"{label} / s" for label in labels), "stretches")
+        rows = []
         for record in inspection.mixed:
             durations = record.durations_s
             cells = [f"{durations[label]:.4g}" if label in durations else "" for label in labels]
-            table.add_row(record.name, *cells, str(len(record.segments)))
-        _console().print(table)
+            rows.append((record.name, *cells, str(len(record.segments))))
+        _console().print(_table(("mixed record", *(f"{label} / s" for label in labels), "stretches"), rows))
     if inspection.findings:
-        table = _table("finding", "where", "problem and remedy")
+        rows = []
         for finding in inspection.findings:
             logs = f"{len(finding.records)} logs" if finding.records else "the campaign"
             signal = [finding.signal.replace("_", " ")] if finding.signal else []
@@ -66,8 +66,9 @@ def show_inspection(inspection: "Inspection") -> None:
                 spans[MAX_SPANS:] = [f"and {len(spans) - MAX_SPANS} more"]
             location = "\n".join([finding.record or logs, *signal, *spans])
             severity = f"{finding.severity.value}:\n{finding.check}"
-            table.add_row(severity, location, f"{finding.what}\n→ {finding.advice}")
-            table.add_section()
+            rows.append((severity, location, f"{finding.what}\n→ {finding.advice}"))
+        table = _table(("finding", "where", "problem and remedy"), rows)
+        table.show_lines = True
         _console().print(table)
     elif inspection.records:
         _print_wrapped("No problems found.")
@@ -78,20 +79,23 @@ def show_inspection(inspection: "Inspection") -> None:
 
 def _records(inspection: "Inspection") -> RichTable:
     """Return a line for each log, its name last, so that a long one makes no other column narrow."""
-    numbers = ("samples", "step / s", "duration / s", "displacement")
-    table = _table("kind", *numbers, "log", kind=box.SIMPLE_HEAD)
+    rows = []
+    for record in inspection.records:
+        quality, travel = record.quality, record.signals[DISPLACEMENT]
+        rows.append(
+            (
+                f"{record.kind}, held out" if record.held_out else record.kind,
+                str(quality.samples),
+                f"{quality.step_s:.4g}",
+                f"{quality.duration_s:.4g}",
+                f"{travel.lowest:.4g} … {travel.highest:.4g} {travel.unit}",
+                record.name,
+            )
+        )
+    header = ("kind", "samples", "step / s", "duration / s", "displacement", "log")
+    table = _table(header, rows, kind=box.SIMPLE_HEAD)
     for column in table.columns[1:-1]:
         column.justify = "right"
-    for record in inspection.records:
-        travel = record.signals[DISPLACEMENT]
-        table.add_row(
-            f"{record.kind}, held out" if record.held_out else record.kind,
-            str(record.quality.samples),
-            f"{record.quality.step_s:.4g}",
-            f"{record.quality.duration_s:.4g}",
-            f"{travel.lowest:.4g} … {travel.highest:.4g} {travel.unit}",
-            record.name,
-        )
     return table
 
 
@@ -102,10 +106,8 @@ def _signals(inspection: "Inspection") -> RichTable:
         for role, signal in record.signals.items():
             low, high = ranges.get((role, signal.unit), (signal.lowest, signal.highest))
             ranges[role, signal.unit] = min(low, signal.lowest), max(high, signal.highest)
-    table = _table("smallest", "largest", "unit", "signal", kind=box.SIMPLE_HEAD)
-    for (role, unit), (low, high) in ranges.items():
-        table.add_row(f"{low:.4g}", f"{high:.4g}", unit, role)
-    return table
+    rows = [(f"{low:.4g}", f"{high:.4g}", unit, role) for (role, unit), (low, high) in ranges.items()]
+    return _table(("smallest", "largest", "unit", "signal"), rows, kind=box.SIMPLE_HEAD)
 
 
 def _split(inspection: "Inspection") -> Iterator[str]:
@@ -122,20 +124,22 @@ def _split(inspection: "Inspection") -> Iterator[str]:
 
 def show_drift(rows: "Sequence[ValidationRow]") -> None:
     """Print the machines of a fleet with the change of each direction, in their order."""
-    table = _table("machine", "direction", "gain / %", "dead zone", "p", "RMSE: now", "before", "faults")
-    for row in rows[:MAX_MACHINES]:
-        for direction, drift in row.directions.items():
-            table.add_row(
-                row.machine,
-                direction,
-                _change(drift.gain_change, drift.gain_change_error, 100.0, 1),
-                _change(drift.dead_zone_change, drift.dead_zone_change_error, 1.0, 3),
-                "" if drift.p_value is None else f"{drift.p_value:.2g}",
-                f"{drift.rmse:.3g}",
-                f"{drift.reference_rmse:.3g}",
-                str(len(row.faults)),
-            )
-    _console().print(table)
+    cells = [
+        (
+            row.machine,
+            direction,
+            _change(drift.gain_change, drift.gain_change_error, 100.0, 1),
+            _change(drift.dead_zone_change, drift.dead_zone_change_error, 1.0, 3),
+            "" if drift.p_value is None else f"{drift.p_value:.2g}",
+            f"{drift.rmse:.3g}",
+            f"{drift.reference_rmse:.3g}",
+            str(len(row.faults)),
+        )
+        for row in rows[:MAX_MACHINES]
+        for direction, drift in row.directions.items()
+    ]
+    header = ("machine", "direction", "gain / %", "dead zone", "p", "RMSE: now", "before", "faults")
+    _console().print(_table(header, cells))
     if len(rows) > MAX_MACHINES:
         _print_wrapped(f"and {len(rows) - MAX_MACHINES} more machines, with smaller drift, in fleet.csv")
 
@@ -189,12 +193,13 @@ def show_identification(identification: "Identification", out: Path) -> None:
 
 def _show_candidates(trace: "ChannelTrace", unit: str) -> None:
     """Print the compared structures with their errors, and the error of the choice itself."""
-    table = _table("structure", f"RMSE / {unit}", "held out", "held out, gain per test", kind=box.SIMPLE_HEAD)
+    rows = []
     for candidate in trace.candidates:
         errors = candidate.rmse, candidate.held_out_rmse, candidate.held_out_rmse_per_test_gain
         name = f"{candidate.name} (chosen)" if candidate.chosen else candidate.name
-        table.add_row(name, *(f"{error:.4g}" for error in errors))
-    _narrow_console().print(table)
+        rows.append((name, *(f"{error:.4g}" for error in errors)))
+    header = ("structure", f"RMSE / {unit}", "held out", "held out, gain per test")
+    _narrow_console().print(_table(header, rows, kind=box.SIMPLE_HEAD))
     _print_wrapped(
         "A larger structure is taken where it is significantly better on levels held out, as it is or with a "
         "gain for each test, and not significantly worse in the other."
@@ -207,19 +212,22 @@ def _show_candidates(trace: "ChannelTrace", unit: str) -> None:
 
 def _parameters(direction: str, unit: str, trace: "ChannelTrace") -> RichTable:
     """Return the table of dead zone and parameters; the value of one that is not determined is dim."""
-    from hitchid.report import Faint, numbers
+    from hitchid._support import numbers
+    from hitchid.validation.estimate_tables import estimate_text
 
-    table = _table(direction, "value ± std error", "unit", "verdict", kind=box.SIMPLE_HEAD)
     zone = trace.dead_zone
     value = numbers.with_error(zone.value, zone.error.standard_error or None)
-    origin = f"from {zone.count} {zone.origin}" if zone.count else zone.origin
-    table.add_row("dead zone", value, unit, origin)
-    for estimate in trace.phase1.parameter_estimates:
-        value = numbers.estimate(estimate)
-        style = "dim" if isinstance(value, Faint) else ""
-        name = estimate.symbol or estimate.name.replace("_", " ")
-        table.add_row(name, Text(value, style), estimate.unit, estimate.verdict)
-    return table
+    rows = [("dead zone", value, unit, f"from {zone.count} {zone.origin}" if zone.count else zone.origin)]
+    rows += [
+        (
+            estimate.symbol or estimate.name.replace("_", " "),
+            estimate_text(estimate),
+            estimate.unit,
+            estimate.verdict,
+        )
+        for estimate in trace.phase1.parameter_estimates
+    ]
+    return _table((direction, "value ± std error", "unit", "verdict"), rows, kind=box.SIMPLE_HEAD)
 
 
 def show_adaptation(
@@ -245,7 +253,7 @@ def show_advice(advice: "Advice", model: "Hitch") -> None:
     command, displacement = model.units[f"{advice.direction}_command"], model.units["displacement"]
     zone = model.channels[advice.direction].dead_zone
     name = advice.parameter.replace("_", " ")
-    table = _table(
+    header = (
         f"{advice.direction}: next test",
         f"low / {command}",
         f"high / {command}",
@@ -254,11 +262,10 @@ def show_advice(advice: "Advice", model: "Hitch") -> None:
         f"travel / {displacement}",
         f"error of {name} / %",
     )
-    table.add_row(
-        "one more such test", "", "", "", "", "", f"{100 * advice.baseline_reduction[advice.parameter]:.0f}"
-    )
-    for number, proposal in enumerate(advice.proposals, start=1):
-        table.add_row(
+    unchanged = f"{100 * advice.baseline_reduction[advice.parameter]:.0f}"
+    rows = [("one more such test", "", "", "", "", "", unchanged)]
+    rows += [
+        (
             f"binary, {number}",
             f"{proposal.low + zone * (proposal.low > 0):.4g}",
             f"{proposal.high + zone:.4g}",
@@ -267,7 +274,9 @@ def show_advice(advice: "Advice", model: "Hitch") -> None:
             f"{proposal.travel:.4g}",
             f"{100 * proposal.remaining_error[advice.parameter]:.0f}",
         )
-    _console().print(table)
+        for number, proposal in enumerate(advice.proposals, start=1)
+    ]
+    _console().print(_table(header, rows))
     if advice.ramps:
         sentence = f"the error of {name} is mostly due to the dead zone: measure three more ramps"
         write_messages("notice", [sentence])
@@ -275,18 +284,21 @@ def show_advice(advice: "Advice", model: "Hitch") -> None:
 
 def show_tuning(tuning: "Tuning", out: Path) -> None:
     """Print method, gains and margins of a controller, and the path of its file."""
-    table = _table("direction", "bandwidth", "gain margin", "phase margin", "delay margin", "Ms")
+    rows = []
     for (direction, margins), gains in zip(tuning.margins.items(), tuning.controller.gains, strict=True):
         worst = margins.worst
-        table.add_row(
-            direction,
-            f"{float(gains.proportional):.2f} 1/s",
-            f"{worst.gain_db:.1f} dB",
-            f"{worst.phase_deg:.0f}°",
-            f"{1e3 * worst.delay_s:.0f} ms",
-            f"{worst.sensitivity:.2f}",
+        rows.append(
+            (
+                direction,
+                f"{float(gains.proportional):.2f} 1/s",
+                f"{worst.gain_db:.1f} dB",
+                f"{worst.phase_deg:.0f}°",
+                f"{1e3 * worst.delay_s:.0f} ms",
+                f"{worst.sensitivity:.2f}",
+            )
         )
-    _narrow_console().print(table)
+    header = ("direction", "bandwidth", "gain margin", "phase margin", "delay margin", "Ms")
+    _narrow_console().print(_table(header, rows))
     _print_wrapped(f"margins: met by 95 % of {tuning.draws} draws of the parameters at nine operating points")
     _print_wrapped(f"method: {tuning.method}")
     _print_wrapped(f"controller: {out}")
@@ -323,8 +335,6 @@ def show_export(done: "Export") -> None:
 
 def show_study(study: "Study", out: Path) -> None:
     """Print the tables of the study, notices, and the path of the report."""
-    from hitchid.report.text import rich_table
-
     for table in study.tables:
         _console().print(rich_table(table))
     write_messages("notice", study.validation.notices)
@@ -369,11 +379,10 @@ def end_with_verdict(
         raise typer.Exit(1)
 
 
-def _table(*header: str, kind: box.Box = box.HEAVY_HEAD) -> RichTable:
-    table = RichTable(box=kind, pad_edge=False)
-    for name in header:
-        table.add_column(name)
-    return table
+def _table(
+    header: tuple[str, ...], rows: Sequence[tuple[str, ...]], *, kind: box.Box = box.HEAVY_HEAD
+) -> RichTable:
+    return rich_table(Table("", header, tuple(rows)), kind=kind, align=False)
 
 
 def _console() -> PlainConsole:

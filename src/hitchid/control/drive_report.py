@@ -1,17 +1,19 @@
 """Acceptance limits and report of closed loops on the virtual bench."""
 
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from hitchid._support import checks
-from hitchid._support.tables import DataTable
+from hitchid._support import checks, numbers
+from hitchid._support.tables import Column, RecordTable
 from hitchid.control.closed_loop import ClosedLoops
-from hitchid.control.drive import BASELINE, TESTED, Drive
+from hitchid.control.drive import BASELINE, TESTED, Drive, Figures
 from hitchid.control.prediction import Band
 from hitchid.control.scenarios import COMPENSATED, Kind, Scenario
 from hitchid.errors import SettingsError
@@ -25,9 +27,10 @@ from hitchid.report import (
     ReportSection,
     Table,
     Text,
+    command_section,
     limits_section,
-    numbers,
     sentence,
+    worst_first,
 )
 from hitchid.validation import Acceptance, Check
 
@@ -174,7 +177,7 @@ def drive_report(
 ) -> Document:
     """Return the report of closed loops on a bench or plant, `margins` being those of the controller file."""
     unit, names = result.unit, tuple(result.figures)
-    figures = Table(f"Figures of the {TESTED}", _header(unit), _rows(result, TESTED))
+    figures = _figure_table(result, TESTED)
     areas = tuple(
         (scenario, *(f"{result.figures[name][scenario].iae:.2f}" for name in names))
         for scenario in result.scenarios
@@ -193,16 +196,16 @@ def drive_report(
         notices=tuple(map(sentence, notices)),
         sections=(
             *([] if acceptance is None else [limits_section(acceptance)]),
-            ReportSection("Figures", (Text(EXPLANATION), figures)),
+            ReportSection("Figures", (Text(EXPLANATION), figures.shown())),
             ReportSection("Beside the baselines", beside),
             ReportSection("Margins", (Text(MARGINS), _margin_table(margins))),
             ReportSection("Scenarios", (Pictures(pictures),)),
-            ReportSection("How to reproduce", (Table("Origin", ("what", "value"), (("command", command),)),)),
+            command_section(command),
         ),
-        summary=(_summary(result),),
+        summary=(_summary(figures),),
         checks=() if acceptance is None else acceptance.checks,
         data=result.metrics,
-        data_tables={name: _data_table(result, name) for name in result.figures},
+        data_tables={name: _figure_table(result, name).data() for name in result.figures},
     )
 
 
@@ -216,9 +219,6 @@ MARGINS = (
     "Margins that 95 % of the models with drawn parameters keep at nine operating points, as written by "
     "`hitchid tune`. They hold for errors of the parameters, not for dynamics that the model does not have."
 )
-
-
-ORDER = (Rating.BAD, Rating.CAUTION, Rating.GOOD)  # of findings
 
 
 def drive_verdict(result: Drive, acceptance: Acceptance | None = None) -> tuple[Finding, ...]:
@@ -280,34 +280,35 @@ def drive_verdict(result: Drive, acceptance: Acceptance | None = None) -> tuple[
         share = sum(inside.values()) / len(inside)
         text = f"{100 * share:.0f} % of the loops are inside the band that the identified model predicts."
         judge(share >= 0.85, text)
-    return tuple(sorted(findings, key=lambda finding: ORDER.index(finding.level)))
+    return worst_first(findings)
 
 
-def _header(unit: str) -> tuple[str, ...]:
-    return (
-        "scenario",
-        f"IAE / {unit}·s",
-        f"RMSE / {unit}",
-        f"overshoot / {unit}",
-        "settling / s",
-        f"final error / {unit}",
-        "valve actions in 10 s",
+def _figure_table(result: Drive, controller: str) -> RecordTable:
+    """Return the figures of a controller in each scenario."""
+    unit, least_times_s = result.unit, result.least_times_s
+
+    def named(record: tuple[str, Figures]) -> str:
+        name, _ = record
+        return f"{name} (least {least_times_s[name]:.2f} s)" if name in least_times_s else name
+
+    def figure(name: str, key: str, label: str = "", text: Callable[[Any], str] = _cell) -> Column:
+        def value(record: tuple[str, Figures]) -> float | None:
+            return getattr(record[1], name)
+
+        return Column(key, label, value, lambda record: text(value(record)))
+
+    columns = (
+        Column("scenario", "scenario", itemgetter(0), named),
+        figure("iae", f"iae_{unit}_s", f"IAE / {unit}·s", "{:.2f}".format),
+        figure("rmse", f"rmse_{unit}", f"RMSE / {unit}", "{:.2f}".format),
+        figure("overshoot", f"overshoot_{unit}", f"overshoot / {unit}"),
+        figure("settling_s", "settling_s", "settling / s"),
+        figure("final_error", f"final_error_{unit}", f"final error / {unit}", "{:.2f}".format),
+        figure("valve_actions_per_10_s", "valve_actions_per_10_s", "valve actions in 10 s", "{:.1f}".format),
+        *(figure(name, name) for name in ("both_valves_samples", "samples_until_closed", "diverged")),
     )
-
-
-def _rows(result: Drive, controller: str) -> tuple[tuple[str, ...], ...]:
-    return tuple(
-        (
-            f"{name} (least {result.least_times_s[name]:.2f} s)" if name in result.least_times_s else name,
-            f"{figures.iae:.2f}",
-            f"{figures.rmse:.2f}",
-            _cell(figures.overshoot),
-            _cell(figures.settling_s),
-            f"{figures.final_error:.2f}",
-            f"{figures.valve_actions_per_10_s:.1f}",
-        )
-        for name, figures in result.figures[controller].items()
-    )
+    title = f"Figures of the {controller}"
+    return RecordTable(controller, title, columns, tuple(result.figures[controller].items()))
 
 
 def _cell(value: float | None) -> str:
@@ -347,17 +348,6 @@ def _picture(result: Drive, name: str, scenario: Scenario) -> Picture:
     )
 
 
-def _summary(result: Drive) -> Table:
-    rows = tuple((row[0], row[2], row[3], row[4], row[5]) for row in _rows(result, TESTED))
-    header = _header(result.unit)
-    return Table("closed loops", (header[0], *header[2:6]), rows)
-
-
-def _data_table(result: Drive, controller: str) -> DataTable:
-    unit = result.unit
-    lengths = {"iae": f"iae_{unit}_s"} | {n: f"{n}_{unit}" for n in ("rmse", "overshoot", "final_error")}
-    rows = (
-        {"scenario": name, **{lengths.get(key, key): value for key, value in each._asdict().items()}}
-        for name, each in result.figures[controller].items()
-    )
-    return DataTable.of_rows(controller, rows)
+def _summary(figures: RecordTable) -> Table:
+    scenario, _, *errors = figures.columns
+    return replace(figures, title="closed loops", columns=(scenario, *errors[:4])).shown()

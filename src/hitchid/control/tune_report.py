@@ -7,6 +7,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from hitchid._support import numbers
 from hitchid._support.tables import DataTable
 from hitchid.control.loops import (
     MAX_SENSITIVITY,
@@ -18,7 +19,17 @@ from hitchid.control.loops import (
 )
 from hitchid.control.tuning import OpenLoop, TrialRun, Tuning
 from hitchid.plots import COLOURS, FAINT, INK, PAGE_IN, legend_above, styled
-from hitchid.report import Document, Finding, Picture, Pictures, Rating, ReportSection, Table, Text, numbers
+from hitchid.report import (
+    Document,
+    Finding,
+    Picture,
+    Pictures,
+    Rating,
+    ReportSection,
+    Table,
+    Text,
+    command_section,
+)
 
 # Figures of a tuned controller: its open loop with what the tests leave open, and steps on drawn models.
 
@@ -132,7 +143,7 @@ def tune_report(result: Tuning, *, command: str = "") -> Document:
             ReportSection("Margins", (Text(EXPLANATION), _margin_table(result))),
             ReportSection("Gains", (_gain_table(result), trials)),
             ReportSection("Figures", (Pictures(tuple(_pictures(result))),)),
-            ReportSection("How to reproduce", (Table("Origin", ("what", "value"), (("command", command),)),)),
+            command_section(command),
         ),
         data_tables={"open_loop": DataTable.of_columns("open_loop", _columns(result.loops))},
     )

@@ -5,9 +5,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hitchid._support import numbers
 from hitchid.fleet.comparison import FleetComparison
 from hitchid.fleet.parameters import DEAD_ZONE, DELAY, GAIN, LOAD_SCATTER, FleetParameter
-from hitchid.report import Finding, Rating, numbers
+from hitchid.report import Finding, Rating
 
 MOST_SENTENCES = 10  # machines with a sentence of their own, of each kind; chosen
 LEAST_Q = 1e-3  # smaller ones are given as below it; chosen

@@ -5,6 +5,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from hitchid._support import numbers
 from hitchid._support.tables import Cell, DataTable
 from hitchid.fleet import figures as figures
 from hitchid.fleet.comparison import FleetComparison, comparison_metrics
@@ -20,7 +21,17 @@ from hitchid.fleet.findings import (
 from hitchid.fleet.outliers import FleetTrends
 from hitchid.fleet.parameters import FleetParameter, listed
 from hitchid.fleet.row import Row
-from hitchid.report import Block, Document, Picture, Pictures, ReportSection, Table, Text, numbers, sentence
+from hitchid.report import (
+    Block,
+    Document,
+    Picture,
+    Pictures,
+    ReportSection,
+    Table,
+    Text,
+    command_section,
+    sentence,
+)
 
 MOST_LINES = 100  # of a table of machines; chosen: the data tables have all
 MEGABYTE = 1e6  # bytes
@@ -85,7 +96,7 @@ def _sections(comparison: FleetComparison, command: str) -> Iterator[ReportSecti
         yield ReportSection("Not compared", (Table("By reason", header, tuple(lines)),))
     if any(row.cost is not None for row in comparison.rows):
         yield ReportSection("Cost", (_cost_table(comparison.rows),))
-    yield ReportSection("How to reproduce", (Table("Origin", ("what", "value"), (("command", command),)),))
+    yield command_section(command)
 
 
 def _outliers(comparison: FleetComparison) -> ReportSection:

@@ -11,7 +11,8 @@ from jaxtyping import Float
 from hitchid._support import checks
 from hitchid._support.files import write_bytes
 from hitchid._support.precision import double_precision
-from hitchid._support.tables import GAP, dataframe, screen
+from hitchid._support.screen import GAP, screen
+from hitchid._support.tables import dataframe
 from hitchid.errors import InputError
 from hitchid.handover.speed import INSTEAD, centre, linear_channel, load_of_channel
 from hitchid.logs.record import COMMAND, DISPLACEMENT

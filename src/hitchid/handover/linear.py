@@ -12,7 +12,7 @@ from jaxtyping import Float
 from hitchid._support import checks
 from hitchid._support.checks import named_arguments
 from hitchid._support.precision import double_precision
-from hitchid._support.tables import Summarised, Summary
+from hitchid._support.tables import Summarised, Table
 from hitchid.errors import InputError
 from hitchid.handover.inverse import InverseTable, make_inverse_table
 from hitchid.handover.responses import Banded, FrequencyResponse, checked_frequencies_hz, response_of
@@ -85,8 +85,8 @@ class Linearisation(Summarised):
         """Return the matrices with each of the drawn parameter vectors; see `model`."""
         if self.drawn is None:
             return ()
-        each = (SmallSignal(*arrays) for arrays in zip(*self.drawn, strict=True))
-        return tuple(self._signed(one.state_space(step_s)) for one in each)
+        draws = (SmallSignal(*arrays) for arrays in zip(*self.drawn, strict=True))
+        return tuple(self._signed(draw.state_space(step_s)) for draw in draws)
 
     def to_scipy(self, step_s: float | None = None) -> "signal.StateSpace":
         """Return the linear model as `scipy.signal` has it; see `model`."""
@@ -140,7 +140,7 @@ class Linearisation(Summarised):
     def _signed(self, model: LinearModel) -> LinearModel:
         return LinearModel(model.a, model.b, self.sign * model.c, model.step_s)
 
-    def _summary(self) -> Summary:
+    def _summary(self) -> Table:
         unit, command_unit = self.units[DISPLACEMENT], self.units[COMMAND[self.direction]]
         load = "".join(
             f", {name} {value:.4g} {self.units.get(name, '')}" for name, value in self.load.items()
@@ -154,7 +154,7 @@ class Linearisation(Summarised):
             f"Linear model of {self.direction} at {self.command:.4g} {command_unit}, "
             f"{self.displacement:.4g} {unit}{load}"
         )
-        return Summary(title, ("quantity", "value", "95 %"), rows)
+        return Table(title, ("quantity", "value", "95 %"), rows)
 
 
 @double_precision
@@ -174,7 +174,7 @@ def linearise_hitch(
     if row.ndim > 1:
         raise checks.input_error("load", "one load", load)
     at_load, benchmark = jnp.asarray(row), channel.benchmark
-    effective, place = None, None
+    effective, position = None, None
     if command is not None:
         effective = abs(checks.number(command, "command")) - channel.dead_zone
         if not effective > 0:
@@ -182,12 +182,12 @@ def linearise_hitch(
                 f"command: expected one beyond the dead zone of {channel.dead_zone:.4g}, got {command}"
             )
     if displacement is not None:
-        place = checks.number(displacement, "displacement")
+        position = checks.number(displacement, "displacement")
     here = benchmark.at_load(at_load)
-    nominal = small_signal_at(here, effective, place)
+    nominal = small_signal_at(here, effective, position)
     point = (
         default_command(here) if effective is None else jnp.asarray(effective),
-        default_displacement(here) if place is None else jnp.asarray(place),
+        default_displacement(here) if position is None else jnp.asarray(position),
     )
     # The draws are linearised at the same point, so that they differ by their parameters alone.
     vectors, drawn = draws_of(model, channel.direction, seed, draws) if draws else None, None

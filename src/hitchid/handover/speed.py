@@ -181,8 +181,9 @@ def _half_width(
     fade: Float[np.ndarray, " q"], reference: Float[np.ndarray, " q"], share: Float[np.ndarray, " q"]
 ) -> Float[np.ndarray, " q"]:
     """Return fade × reference × share; infinite for an infinite share, unless it has faded to zero."""
-    known = np.isfinite(share)
-    width = np.where(known, fade * reference * np.where(known, share, 0.0), np.inf)
+    # The inner choice keeps infinity times a fade of zero, which is no number, out of the product.
+    is_finite = np.isfinite(share)
+    width = np.where(is_finite, fade * reference * np.where(is_finite, share, 0.0), np.inf)
     return np.where(fade > 0, width, 0.0)
 
 

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hitchid._support import checks
+from hitchid._support.numbers import digits
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent, subtask_progress
-from hitchid._support.tables import Summarised, Summary, dataframe, first_notes
+from hitchid._support.screen import first_notes
+from hitchid._support.tables import Summarised, Table, dataframe
 from hitchid.errors import HitchError, InputError
 from hitchid.estimation import Search
 from hitchid.identification.candidates import operating_points
@@ -28,7 +30,7 @@ from hitchid.logs.campaign import Campaign
 from hitchid.logs.record import CYCLE, Record
 from hitchid.model import Hitch
 from hitchid.validation import ModelFigures, Predictions, RunFigures, Validation, validate
-from hitchid.validation.results import FREE_RUN, GREYBOX, ONE_STEP, value_text
+from hitchid.validation.results import FREE_RUN, GREYBOX, ONE_STEP
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -146,16 +148,16 @@ class CrossValidation(Summarised):
             )
         return dataframe(rows)
 
-    def _summary(self) -> Summary:
+    def _summary(self) -> Table:
         rows = []
         for section in self.sections:
             figures = self.figures(section)
             runs = (figures.free_run, figures.one_step)
-            cells = ["" if run is None else value_text(run.rmse, run.rmse_error) for run in runs]
+            cells = ["" if run is None else digits(run.rmse, run.rmse_error) for run in runs]
             rows.append((section, str(len(self.predictions(section).names)), *cells))
         header = ("section", "tests", f"free run, RMSE / {self.unit}", f"one step, RMSE / {self.unit}")
         title = f"Cross-validation of {len(self)} folds, every test with the model identified without it"
-        return Summary(title, header, tuple(rows), first_notes(self.notices, 3, "notices"))
+        return Table(title, header, tuple(rows), first_notes(self.notices, 3, "notices"))
 
     def _row(self, section: str, fold: FoldResult) -> dict[str, object]:
         row: dict[str, object] = {"section": section, "fold": str(fold.number)}

@@ -11,7 +11,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, PRNGKeyArray, PyTree
 
-from hitchid._support.tables import count
+from hitchid._support.numbers import count
 from hitchid.estimation.training import every_nth, optimiser, pad_to_batches
 from hitchid.identification.held_out import (
     HeldOut,

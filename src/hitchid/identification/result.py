@@ -9,7 +9,8 @@ import numpy as np
 
 from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
-from hitchid._support.tables import Summarised, Summary, first_notes
+from hitchid._support.screen import first_notes
+from hitchid._support.tables import Summarised, Table
 from hitchid.estimation.training import TrainingHistory
 from hitchid.identification.candidates import Candidate, held_out_errors_of_choice
 from hitchid.identification.dead_zone import DeadZone
@@ -158,7 +159,7 @@ class Identification(Summarised):
         where = "identification tests" if None in held_out.values() else "tests held out in turn"
         return f"RMSE in free run {figures} on {where}"
 
-    def _summary(self) -> Summary:
+    def _summary(self) -> Table:
         unit = self.model.units[DISPLACEMENT]
         fits = [
             f"{direction}: RMSE {trace.phase1.rmse:.4g} {unit} in free run on the identification tests, "

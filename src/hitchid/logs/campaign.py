@@ -12,7 +12,7 @@ import numpy as np
 
 from hitchid._support import checks
 from hitchid._support.records import Notice, Severity, Value
-from hitchid._support.tables import Summarised, Summary
+from hitchid._support.tables import Summarised, Table
 from hitchid.errors import InputError
 from hitchid.logs.kinds import ramp_direction, strokes
 from hitchid.logs.record import COMMAND, CYCLE, DIRECTIONS, DISPLACEMENT, RAMP, Record
@@ -320,7 +320,7 @@ class Campaign(Value, Summarised):
             checks.one_of(direction, DIRECTIONS, "direction")
         return plot_campaign(self, axes, direction)
 
-    def _summary(self) -> Summary:
+    def _summary(self) -> Table:
         from hitchid.logs.summaries import campaign_summary
 
         return campaign_summary(self)

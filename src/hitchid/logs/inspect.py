@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hitchid._support.numbers import count
 from hitchid._support.records import Notice, short_repr
-from hitchid._support.tables import count
 from hitchid.errors import HitchError
 from hitchid.logs.audit import AuditFinding, Quality, audit
 from hitchid.logs.audit.context import quality

@@ -11,7 +11,7 @@ import numpy as np
 
 from hitchid._support import checks
 from hitchid._support.records import Notice, Value
-from hitchid._support.tables import Summarised, Summary
+from hitchid._support.tables import Summarised, Table
 from hitchid.errors import InputError
 from hitchid.logs.resampling import GRID_TOLERANCE, REGULAR_CLOCK, ClockQuality
 from hitchid.logs.units import UNITS, check_unit, conversion_factor
@@ -337,7 +337,7 @@ class Record(Value, Summarised):
 
         return plot_record(self, axes)
 
-    def _summary(self) -> Summary:
+    def _summary(self) -> Table:
         from hitchid.logs.summaries import record_summary
 
         return record_summary(self)

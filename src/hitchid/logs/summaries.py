@@ -4,14 +4,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hitchid._support.tables import Summary, count, first_notes, first_to_last, sparkline
+from hitchid._support.numbers import count
+from hitchid._support.screen import first_notes, first_to_last, sparkline
+from hitchid._support.tables import Table
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.record import COMMAND, CYCLE, DIRECTIONS, DISPLACEMENT, KINDS, Record
 
 MAX_LEFT_OUT = 3  # logs left out that are named; chosen
 
 
-def record_summary(record: Record) -> Summary:
+def record_summary(record: Record) -> Table:
     """Return name, kind, sampling and the range of every signal."""
     rows = [
         (role, record.units[role], f"{np.min(samples):.6g}", f"{np.max(samples):.6g}")
@@ -21,7 +23,7 @@ def record_summary(record: Record) -> Summary:
     ]
     source = [] if record.source is None else [f"read from {record.source}"]
     notices = [f"{count(len(record.notices), 'notice')}: see .notices"] if record.notices else []
-    return Summary(
+    return Table(
         f"Record '{record.name}': {record.kind}, {count(len(record), 'sample')} at {record.step_s:g} s, "
         f"{_duration_s(record):g} s",
         ("signal", "unit", "lowest", "highest"),
@@ -31,7 +33,7 @@ def record_summary(record: Record) -> Summary:
     )
 
 
-def campaign_summary(campaign: Campaign) -> Summary:
+def campaign_summary(campaign: Campaign) -> Table:
     """Return the number of tests of each kind, how many are held out, units, and what is left out."""
     kinds = [kind for kind in KINDS if campaign.of_kind(kind)]
     title = f"Campaign of {count(len(campaign), 'test')}"
@@ -48,7 +50,7 @@ def campaign_summary(campaign: Campaign) -> Summary:
         roles = [role for role in (DISPLACEMENT, *COMMAND.values()) if role in tests[0].signals]
         pictures.append(_picture(tests[0], roles, f"displacement and commands of {tests[0].name}"))
     left_out = [f"left out: {item.name}: {item.reason}" for item in campaign.left_out]
-    return Summary(
+    return Table(
         title,
         ("kind", "tests", "held out", "duration", "names"),
         tuple(rows),

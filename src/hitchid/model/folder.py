@@ -20,7 +20,7 @@ from safetensors.numpy import save as save_tensors
 from hitchid._support import checks
 from hitchid._support.files import canonical_json, digest, inside_folder, write_folder
 from hitchid._support.precision import double_precision
-from hitchid._support.tables import shortened
+from hitchid._support.screen import shortened
 from hitchid.errors import InputError, ModelFolderError
 from hitchid.model.description import (
     Tensors,

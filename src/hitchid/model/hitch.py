@@ -16,7 +16,7 @@ from hitchid._support import checks
 from hitchid._support.checks import named_arguments
 from hitchid._support.precision import double_precision
 from hitchid._support.records import Value
-from hitchid._support.tables import Summarised, Summary
+from hitchid._support.tables import Summarised, Table
 from hitchid.errors import InputError
 from hitchid.handover.linear import Handover
 from hitchid.logs.kinds import CommandThreshold
@@ -443,5 +443,5 @@ class Hitch(Value, Summarised, Handover):
             raise checks.input_error("state", STATE_REQUIRED, tuple(map(np.shape, state)))
         return functions
 
-    def _summary(self) -> Summary:
+    def _summary(self) -> Table:
         return hitch_summary(self)

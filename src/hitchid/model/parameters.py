@@ -1,7 +1,7 @@
 """Parameters of a model: as a table, as what a model shows of itself, and set by hand."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from math import inf, isclose, log
 from typing import TYPE_CHECKING, overload
 
@@ -11,9 +11,11 @@ import numpy as np
 
 from hitchid._support import checks
 from hitchid._support.inert import html_text
+from hitchid._support.numbers import count
 from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
-from hitchid._support.tables import Summary, count, dataframe, screen, sparkline
+from hitchid._support.screen import screen, sparkline
+from hitchid._support.tables import RecordTable, Table, field_column, field_of, interval_columns
 from hitchid.errors import InputError
 from hitchid.logs.record import COMMAND, DISPLACEMENT
 from hitchid.model.channel import Channel
@@ -30,7 +32,6 @@ if TYPE_CHECKING:
 DEAD_ZONE = Parameter("dead_zone", "{u}", 0.0, 1.0, linear=True, symbol="dead zone")
 SET_BY_HAND, NO_INTERVAL, NO_DEAD_TIME = "set by hand", "no interval", "not part of the model"
 MAX_VERDICT = 44  # characters of a verdict in a table as text; chosen
-HEADER = ("direction", "name", "symbol", "value", "unit", "standard error", "95 %", "verdict")
 
 
 @short_repr
@@ -56,6 +57,30 @@ class ParameterRow:
     standard_error: float | None
     interval: Interval
     verdict: str
+
+
+def _interval_text(row: ParameterRow) -> str:
+    if row.interval == (None, None):
+        return ""
+    return " … ".join("?" if end is None else f"{end:.4g}" for end in row.interval)
+
+
+def _verdict_text(row: ParameterRow) -> str:
+    return row.verdict if len(row.verdict) <= MAX_VERDICT else f"{row.verdict[: MAX_VERDICT - 1]}…"
+
+
+COLUMNS = (
+    *map(field_column, ("direction", "name", "symbol")),
+    field_column("value", text=lambda row: f"{row.value:.5g}"),
+    field_column("unit"),
+    field_column(
+        "standard_error",
+        "standard error",
+        lambda row: "" if row.standard_error is None else f"{row.standard_error:.2g}",
+    ),
+    *interval_columns("{}", "95 %", field_of("interval"), _interval_text),
+    field_column("verdict", text=_verdict_text),
+)
 
 
 @dataclass(frozen=True, repr=False)
@@ -103,16 +128,11 @@ class ParameterTable(Sequence[ParameterRow]):
         Raises:
             InputError: pandas is not installed.
         """
-        rows = []
-        for row in self.rows:
-            cells = asdict(row)
-            lower, upper = cells.pop("interval")
-            verdict = cells.pop("verdict")
-            rows.append({**cells, "lower": lower, "upper": upper, "verdict": verdict})
-        return dataframe(rows)
+        return RecordTable("parameters", "", COLUMNS, self.rows).data().to_dataframe()
 
     def __repr__(self) -> str:
-        cells = [HEADER, *map(_cells, self.rows)]
+        shown = RecordTable("parameters", "", COLUMNS, self.rows).shown()
+        cells = [shown.header, *shown.rows]
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         lines = [
             "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
@@ -121,9 +141,10 @@ class ParameterTable(Sequence[ParameterRow]):
         return screen(["ParameterTable", *lines])
 
     def _repr_html_(self) -> str:
-        head = "".join(f"<th>{html_text(cell)}</th>" for cell in HEADER)
+        shown = RecordTable("parameters", "", COLUMNS, self.rows).shown()
+        head = "".join(f"<th>{html_text(cell)}</th>" for cell in shown.header)
         body = "".join(
-            f"<tr>{''.join(f'<td>{html_text(cell)}</td>' for cell in _cells(row))}</tr>" for row in self.rows
+            f"<tr>{''.join(f'<td>{html_text(cell)}</td>' for cell in row)}</tr>" for row in shown.rows
         )
         return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
@@ -206,22 +227,10 @@ def _rows(
         )
 
 
-def _cells(row: ParameterRow) -> tuple[str, ...]:
-    lower, upper = row.interval
-    ends = "" if row.interval == (None, None) else f"{_end(lower)} … {_end(upper)}"
-    verdict = row.verdict if len(row.verdict) <= MAX_VERDICT else f"{row.verdict[: MAX_VERDICT - 1]}…"
-    error = "" if row.standard_error is None else f"{row.standard_error:.2g}"
-    return row.direction, row.name, row.symbol, f"{row.value:.5g}", row.unit, error, ends, verdict
-
-
-def _end(value: float | None) -> str:
-    return "?" if value is None else f"{value:.4g}"
-
-
 # What a model shows of itself: structure, parameters with units and errors, corrections.
 
 
-def hitch_summary(hitch: "Hitch") -> Summary:
+def hitch_summary(hitch: "Hitch") -> Table:
     """Return sampling time, units, and for each direction its structure and parameters."""
     units = ", ".join(f"{role} in {unit}" for role, unit in hitch.units.items())
     notes = [] if hitch.two_modes is None else [hitch.two_modes.sentence]
@@ -236,7 +245,7 @@ def hitch_summary(hitch: "Hitch") -> Summary:
         points = uncertainty.characteristics.speed_map
         speeds = np.array([point.speed for point in points if point.load == points[0].load])
         maps.append(sparkline([speeds], f"steady speed over the {direction} command"))
-    return Summary(
+    return Table(
         f"Hitch at {hitch.step_s:g} s: {units}",
         ("direction", "structure", "parameters"),
         tuple(

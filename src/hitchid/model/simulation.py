@@ -13,7 +13,8 @@ from numpy.typing import DTypeLike
 from hitchid._support import checks
 from hitchid._support.bounded import MAX_MAGNITUDE
 from hitchid._support.precision import double_precision
-from hitchid._support.tables import GAP, dataframe, screen, wrapped
+from hitchid._support.screen import GAP, screen, wrapped
+from hitchid._support.tables import dataframe
 from hitchid.errors import InputError
 from hitchid.logs.kinds import ACTIVE_FRACTION, effective_command, full_scales
 from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT, Record, held_rows

@@ -79,11 +79,11 @@ def draw_correlation(axes: Axes, lags_s: np.ndarray, values: Sequence[float], bo
 
 def draw_error_bins(axes: Axes, bins: Sequence[ErrorBin], label: str) -> None:
     """Draw mean (bar) and standard deviation (line) of the errors over a quantity, by its rising value."""
-    least = MIN_BAR_SHARE * (max(each.upper for each in bins) - min(each.lower for each in bins))
-    for each in bins:
-        middle, half = 0.5 * (each.lower + each.upper), 0.5 * max(each.upper - each.lower, least)
-        axes.plot([middle] * 2, [each.mean - each.deviation, each.mean + each.deviation], color=FAINT)
-        axes.plot([middle - half, middle + half], [each.mean] * 2, color=COLOURS["free_run"], linewidth=2)
+    least = MIN_BAR_SHARE * (max(errors.upper for errors in bins) - min(errors.lower for errors in bins))
+    for lower, upper, mean, deviation in bins:
+        middle, half = 0.5 * (lower + upper), 0.5 * max(upper - lower, least)
+        axes.plot([middle] * 2, [mean - deviation, mean + deviation], color=FAINT)
+        axes.plot([middle - half, middle + half], [mean] * 2, color=COLOURS["free_run"], linewidth=2)
     axes.axhline(0, color=INK, linewidth=0.6)
     axes.set_xlabel(label)
 

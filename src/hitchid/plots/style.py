@@ -267,8 +267,8 @@ def canvas(
         with style():
             yield given
             _legend_each(given)
-            for each in given:  # what the caller wrote into them stays
-                for own in (each.xaxis.label, each.yaxis.label, each.get_legend()):
+            for subplot in given:  # what the caller wrote into them stays
+                for own in (subplot.xaxis.label, subplot.yaxis.label, subplot.get_legend()):
                     if own is not None:
                         plain_texts(own)
         return
@@ -281,7 +281,7 @@ def canvas(
             yield made
             if legend_each:
                 _legend_each(made)
-            elif any(each.get_legend_handles_labels()[0] for each in made):
+            elif any(subplot.get_legend_handles_labels()[0] for subplot in made):
                 legend_above(figure, *made, columns=LEGEND_COLUMNS, order=legend_order)
             figure.align_ylabels()
             plain_texts(figure)
@@ -291,9 +291,9 @@ def canvas(
 
 
 def _legend_each(axes: np.ndarray) -> None:
-    for each in axes:
-        if each.get_legend_handles_labels()[0]:
-            each.legend()
+    for subplot in axes:
+        if subplot.get_legend_handles_labels()[0]:
+            subplot.legend()
 
 
 def checked_axes(axes: object, count: int | None = None) -> np.ndarray:
@@ -303,7 +303,7 @@ def checked_axes(axes: object, count: int | None = None) -> np.ndarray:
         flat = np.ravel(np.asarray(axes, dtype=object))
     except TypeError as error:  # of objects that have a length and cannot be iterated, as records
         raise InputError(f"axes: expected {expected}, got {type(axes).__name__}") from error
-    if not flat.size or not all(isinstance(each, Axes) for each in flat):
+    if not flat.size or not all(isinstance(item, Axes) for item in flat):
         raise InputError(f"axes: expected {expected}, got {type(axes).__name__}")
     if count is not None and flat.size != count:
         raise InputError(f"axes: expected {expected}, got {flat.size}")

@@ -16,7 +16,9 @@ from hitchid.report.document import Signals as Signals
 from hitchid.report.document import Table as Table
 from hitchid.report.document import Text as Text
 from hitchid.report.document import sentence as sentence
+from hitchid.report.document import worst_first as worst_first
 from hitchid.report.figures.errors import FIGURE_SAMPLES as FIGURE_SAMPLES
+from hitchid.report.origin import command_section as command_section
 from hitchid.report.origin import logs_section as logs_section
 from hitchid.report.origin import origin_section as origin_section
 from hitchid.report.parameters_section import parameters_section as parameters_section

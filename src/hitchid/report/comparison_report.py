@@ -1,12 +1,15 @@
 """Report of a comparison: errors of models in common tables and figures."""
 
 from collections.abc import Sequence
+from operator import itemgetter
 
 import numpy as np
 
+from hitchid._support import numbers
+from hitchid._support.tables import Column, RecordTable
 from hitchid.model import Estimate
 from hitchid.plots.style import COMPARED
-from hitchid.report import figures, numbers
+from hitchid.report import figures
 from hitchid.report.document import (
     Document,
     Finding,
@@ -18,9 +21,11 @@ from hitchid.report.document import (
     Table,
     sentence,
 )
-from hitchid.report.tables import error_header, summary_table
+from hitchid.report.origin import command_section
 from hitchid.validation import Horizons, LeaderboardRow, ModelComparison, Standing
+from hitchid.validation.estimate_tables import estimate_text
 from hitchid.validation.results import CYCLES, GREYBOX, MIN_TESTS, PERSISTENCE, RUNS, shown_tests
+from hitchid.validation.tables import error_columns, summary_table
 
 # Tables of models side by side: leaderboard, errors, horizons, parameters.
 
@@ -63,15 +68,16 @@ def leaderboard_table(comparison: ModelComparison, section: str) -> Table:
 
 def comparison_accuracy(comparison: ModelComparison, section: str) -> Table:
     """Return the errors of every model."""
-    rows = tuple(
-        (f"model {label}", run_label, *numbers.error_cells(figures))
+    names = (Column(label="model", value=itemgetter(0)), Column(label="run", value=itemgetter(1)))
+    records = tuple(
+        (f"model {label}", run_label, figures)
         for run, run_label in reversed(RUNS.items())
         for label, accuracy in zip(comparison.labels, comparison.accuracy(section), strict=True)
         if (figures := accuracy.models[GREYBOX].run(run)) is not None
     )
     tests = numbers.count(len(comparison.accuracy(section)[0].tests), "test")
     title = f"{section}: accuracy on {tests} that no model has used"
-    return Table(title, error_header(comparison.unit, "model", "run"), rows)
+    return RecordTable("", title, (*names, *error_columns(comparison.unit)), records).shown()
 
 
 def comparison_horizons(comparison: ModelComparison, section: str) -> Table:
@@ -110,7 +116,7 @@ def _cell(estimate: Estimate | None) -> str:
         return "not in the model"
     if not estimate.determined:
         return estimate.verdict
-    return f"{estimate.symbol} = {numbers.with_unit(numbers.estimate(estimate), estimate.unit)}"
+    return f"{estimate.symbol} = {numbers.with_unit(estimate_text(estimate), estimate.unit)}"
 
 
 def comparison_report(comparison: ModelComparison, *, command: str = "") -> Document:
@@ -136,7 +142,7 @@ def comparison_report(comparison: ModelComparison, *, command: str = "") -> Docu
         sections=(
             *(_section(comparison, section) for section in comparison.sections),
             *([ReportSection("Parameters", tuple(parameters))] if parameters else []),
-            ReportSection("How to reproduce", (Table("Origin", ("what", "value"), (("command", command),)),)),
+            command_section(command),
         ),
         summary=tuple(_summary(comparison, section) for section in comparison.sections),
         data=comparison.metrics,

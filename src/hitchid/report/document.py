@@ -1,7 +1,7 @@
 """Document model of a report: findings, text, tables and figures in sections; the protocol of a renderer."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
@@ -12,6 +12,8 @@ from matplotlib.figure import Figure
 
 from hitchid._support.records import short_repr
 from hitchid._support.tables import DataTable
+from hitchid._support.tables import Faint as Faint
+from hitchid._support.tables import Table as Table
 from hitchid.report.svg import svg
 from hitchid.validation import Check, Predictions
 
@@ -32,25 +34,12 @@ class Finding(NamedTuple):
     sentence: str
 
 
-class Faint(str):
-    """A cell of a table in grey: the best-fit value of what the tests do not determine."""
-
-    __slots__ = ()
+WORST_FIRST = (Rating.BAD, Rating.CAUTION, Rating.GOOD)
 
 
-@short_repr
-class Table(NamedTuple):
-    """One table: a title, a header, and rows of text with names in the first column."""
-
-    title: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-
-    @property
-    def numeric(self) -> list[bool]:
-        """Whether each column contains numbers."""
-        columns = zip(*self.rows, strict=True) if self.rows else [()] * len(self.header)
-        return [any(column) and all(map(_is_number, column)) for column in columns]
+def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return findings, the bad ones first; those of one rating stay in their order."""
+    return tuple(sorted(findings, key=lambda finding: WORST_FIRST.index(finding.level)))
 
 
 @short_repr
@@ -227,7 +216,3 @@ class Renderer(ABC):
 def sentence(notice: str) -> str:
     """Return a notice with an initial capital and a full stop."""
     return f"{notice[:1].upper()}{notice[1:]}."
-
-
-def _is_number(cell: str) -> bool:
-    return cell in ("diverged", "any") or not any(letter.isalpha() for letter in cell.replace("e", ""))

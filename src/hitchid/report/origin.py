@@ -1,11 +1,11 @@
 """Origin of a result: the information required to reproduce it."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 from hitchid.logs.audit import Severity
 from hitchid.model.trace import ChannelTraceFile
-from hitchid.report import figures, numbers
+from hitchid.report import figures
 from hitchid.report.context import DirectionContext
 from hitchid.report.document import (
     Block,
@@ -19,8 +19,8 @@ from hitchid.report.document import (
     Text,
     sentence,
 )
-from hitchid.report.tables import search_table
-from hitchid.validation.report_data import HASH_DIGITS, LogData, LogUse, Origin
+from hitchid.validation.report_data import LogData, Origin
+from hitchid.validation.tables import log_table, search_table
 
 # The logs of a validation: use of each, findings of the audit, and their hashes.
 
@@ -43,37 +43,12 @@ def logs_section(data: LogData) -> ReportSection:
     notices = (*data.notices, *inspection.notices)
     findings += tuple(Finding(Rating.CAUTION, sentence(str(notice))) for notice in notices)
     summary: Block = Findings(findings) if findings else Text("The audit of the logs found no problems.")
-    blocks: list[Block] = [summary, _table(data.logs)]
+    blocks: list[Block] = [summary, log_table(data.logs).shown()]
     if inspection.mixed:
         shown_logs = inspection.mixed[:MAX_MIXED_SHOWN]
         segmented_logs = [(log.record, log.segments) for log in shown_logs]
         blocks.append(Pictures((figures.timeline_picture(segmented_logs, len(inspection.mixed)),)))
     return ReportSection("Logs", tuple(blocks))
-
-
-def _table(logs: Sequence[LogUse]) -> Table:
-    rows = tuple(
-        (
-            log.name,
-            log.kind,
-            log.used_as,
-            str(log.samples),
-            numbers.digits(log.step_s),
-            numbers.digits(log.duration_s),
-            log.digest,
-        )
-        for log in logs
-    )
-    header = (
-        "log",
-        "kind",
-        "used as",
-        "samples",
-        "step / s",
-        "duration / s",
-        f"SHA-256, first {HASH_DIGITS}",
-    )
-    return Table(f"{len(rows)} logs", header, rows)
 
 
 # Search and training of one direction.
@@ -111,6 +86,11 @@ def _trace_pictures(context: DirectionContext, trace: ChannelTraceFile) -> Itera
         yield figures.structures(
             context.figure_name("structures"), trace.candidates, unit, trace.choice_held_out_rmse
         )
+
+
+def command_section(command: str) -> ReportSection:
+    """Return the section on reproducing a result that its command line alone gives again."""
+    return ReportSection("How to reproduce", (Table("Origin", ("what", "value"), (("command", command),)),))
 
 
 def origin_section(source: Origin, command: str) -> ReportSection:

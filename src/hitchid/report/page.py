@@ -237,7 +237,7 @@ def _block(block: Block) -> dict:
         case table:
             title = f"{table.title[:1].upper()}{table.title[1:]}"
             faint = [[isinstance(cell, Faint) for cell in row] for row in table.rows]
-            cells = table._asdict() | {"title": title}
+            cells = {"title": title, "header": table.header, "rows": table.rows}
             return {"kind": "table", "numeric": table.numeric, "faint": faint, **cells}
 
 

@@ -3,13 +3,19 @@
 from collections.abc import Sequence
 from itertools import starmap
 
+from hitchid._support import numbers
 from hitchid.model import Characteristics, Interval, Quantity
 from hitchid.model.estimates import NOT_ASSESSED
-from hitchid.report import figures, numbers
+from hitchid.report import figures
 from hitchid.report.context import DirectionContext
 from hitchid.report.document import Block, Equation, Pictures, ReportSection, Text, sentence
-from hitchid.report.tables import characteristic_tables, load_table, parameter_table
 from hitchid.structures import PhysicalModel
+from hitchid.validation.estimate_tables import (
+    characteristic_table,
+    load_table,
+    parameter_table,
+    speed_map_table,
+)
 
 # The transfer function of a benchmark, written out with its values.
 
@@ -142,15 +148,19 @@ def parameters_section(context: DirectionContext) -> ReportSection:
     ):
         if estimates is not None and estimates.parameters:
             title = f"parameters of the {model}"
-            blocks.append(parameter_table(f"{direction}: {title}", estimates))
+            blocks.append(parameter_table(direction, name, title, estimates).shown())
             assessed = [estimate for estimate in estimates.parameters if estimate.method != NOT_ASSESSED]
             if assessed:
                 pictures.append(figures.intervals(context.figure_name(name), title, assessed))
     if result.characteristics is not None:
         sentences = map(sentence, characteristic_sentences(result.characteristics, direction))
-        blocks += [Text(" ".join(sentences)), *characteristic_tables(direction, result.characteristics)]
+        blocks += [
+            Text(" ".join(sentences)),
+            speed_map_table(direction, result.characteristics).shown(),
+            characteristic_table(direction, result.characteristics).shown(),
+        ]
     if result.load_scatter is not None:
-        blocks.append(load_table(direction, result.load_scatter))
+        blocks.append(load_table(direction, result.load_scatter).shown())
         pictures.append(figures.loads(context.figure_name("loads"), result.load_scatter))
     if data.ramps and trace is not None and trace.dead_zone.value > 0:
         name = context.figure_name("dead-zone")

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 from rich import box
-from rich.table import Table as RichTable
 
-from hitchid._support.console import PlainConsole, line
+from hitchid._support.console import PlainConsole, line, rich_table
 from hitchid._support.files import canonical_json
 from hitchid._support.inert import markdown_text, printable, xml_bytes
 from hitchid._support.tables import Cell
@@ -25,7 +24,6 @@ from hitchid.report.document import (
     Text,
 )
 from hitchid.report.verdict import check_line
-from hitchid.validation import Check
 
 if TYPE_CHECKING:
     from xlsxwriter.format import Format
@@ -56,22 +54,6 @@ class Terminal(Renderer):
         return stream.getvalue().encode("utf-8", errors="replace")
 
 
-def rich_table(table: Table, *, kind: box.Box = box.HEAVY_HEAD) -> RichTable:
-    """Return a table for rich; columns of numbers are aligned on the right."""
-    content = RichTable(
-        title=table.title or None,
-        title_justify="left",
-        title_style="bold",
-        box=kind,
-        pad_edge=bool(table.title),
-    )
-    for name, right in zip(table.header, table.numeric, strict=True):
-        content.add_column(name, justify="right" if right else "left")
-    for row in table.rows:
-        content.add_row(*row)
-    return content
-
-
 # Acceptance limits as JUnit XML, for build servers.
 
 
@@ -81,31 +63,27 @@ class JUnit(Renderer):
     name, suffix = "junit", ".xml"
 
     def render(self, document: Document) -> bytes:
-        """Return the acceptance limits of the document as test cases."""
-        return junit_xml(document.checks)
+        """Return the acceptance limits of the document as test cases.
 
-
-def junit_xml(checks: Sequence[Check], *, name: str = "hitchid") -> bytes:
-    """Return checks as JUnit XML, one test case per check; equal checks give equal bytes.
-
-    Characters that XML 1.0 does not permit become escapes; the text of a failure is that of `check_line`.
-
-    Args:
-        checks: of `check_limits`.
-        name: of the test suite; the class of a test case is `<name>.<direction>`.
-    """
-    failures = sum(not check.passed for check in checks)
-    counts = {"name": name, "tests": str(len(checks)), "failures": str(failures), "errors": "0"}
-    root = ElementTree.Element("testsuites", counts)
-    suite = ElementTree.SubElement(root, "testsuite", {**counts, "skipped": "0"})
-    for check in checks:
-        case = ElementTree.SubElement(
-            suite, "testcase", {"classname": f"{name}.{check.direction}", "name": check.name}
-        )
-        if not check.passed:
-            message = {"message": f"{check.figure}, required {check.limit}", "type": "limit"}
-            ElementTree.SubElement(case, "failure", message).text = check_line(check)
-    return xml_bytes(root)
+        Characters that XML 1.0 does not permit become escapes; the text of a failure is that of `check_line`.
+        """
+        failures = sum(not check.passed for check in document.checks)
+        counts = {
+            "name": "hitchid",
+            "tests": str(len(document.checks)),
+            "failures": str(failures),
+            "errors": "0",
+        }
+        root = ElementTree.Element("testsuites", counts)
+        suite = ElementTree.SubElement(root, "testsuite", {**counts, "skipped": "0"})
+        for check in document.checks:
+            case = ElementTree.SubElement(
+                suite, "testcase", {"classname": f"hitchid.{check.direction}", "name": check.name}
+            )
+            if not check.passed:
+                message = {"message": f"{check.figure}, required {check.limit}", "type": "limit"}
+                ElementTree.SubElement(case, "failure", message).text = check_line(check)
+        return xml_bytes(root)
 
 
 # The figures of a document as JSON.

@@ -1,10 +1,11 @@
 """Report of a validation: verdict, each direction, mixed cycles, logs, origin."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
+from hitchid._support import numbers
 from hitchid.logs.record import DISPLACEMENT
 from hitchid.model.trace import ChannelTraceFile
-from hitchid.report import figures, numbers
+from hitchid.report import figures
 from hitchid.report.context import DirectionContext
 from hitchid.report.document import (
     Block,
@@ -17,29 +18,32 @@ from hitchid.report.document import (
 )
 from hitchid.report.origin import logs_section, origin_section, search_section
 from hitchid.report.parameters_section import characteristic_sentences, parameters_section
-from hitchid.report.tables import (
-    accuracy_table,
-    band_table,
-    characteristic_tables,
-    cycle_tables,
-    horizon_table,
-    load_table,
-    parameter_table,
-    residual_table,
-    search_table,
-    single_test_table,
-    summary_table,
-)
 from hitchid.report.verdict import limits_section, uses_section, verdict_section
 from hitchid.validation import CYCLES, Acceptance, Accuracy, Predictions, ReportData, Validation
+from hitchid.validation.estimate_tables import (
+    characteristic_table,
+    load_table,
+    parameter_table,
+    speed_map_table,
+)
 from hitchid.validation.results import (
     BENCHMARK,
     FREE_RUN,
     LABELS,
     ONE_STEP,
+    ChannelResult,
     in_table_order,
     model_name,
     shown_tests,
+)
+from hitchid.validation.tables import (
+    accuracy_table,
+    band_table,
+    horizon_table,
+    residual_table,
+    search_table,
+    single_test_table,
+    summary_table,
 )
 
 # Sections of one direction: outputs and speed map, errors, trust.
@@ -99,8 +103,9 @@ def accuracy_section(context: DirectionContext) -> ReportSection:
             f"RMSE of each of {len(tests.names)} tests in free run, for {len(models)} models.",
         ),
     )
-    tables = (accuracy_table(context.direction, result, unit), horizon_table(context.direction, result, unit))
-    return ReportSection("Accuracy", (*tables, Pictures(pictures)))
+    table = accuracy_table(context.direction, result, unit).shown()
+    horizons = horizon_table(context.direction, result, unit)
+    return ReportSection("Accuracy", (table, horizons, Pictures(pictures)))
 
 
 def errors_section(context: DirectionContext) -> ReportSection:
@@ -126,7 +131,7 @@ def errors_section(context: DirectionContext) -> ReportSection:
                 f"Error of the physics model in {unit} over the samples, actual and predicted.",
             )
         )
-    table = single_test_table(context.direction, context.accuracy, unit)
+    table = single_test_table(context.direction, context.accuracy, unit).shown()
     return ReportSection("Errors", (Pictures(tuple(pictures)), table))
 
 
@@ -136,7 +141,7 @@ def trust_section(context: DirectionContext) -> ReportSection:
     blocks: list[Block] = []
     pictures = []
     if bands is not None:
-        blocks.append(band_table(context.direction, bands, unit))
+        blocks.append(band_table(context.direction, bands, unit).shown())
         pictures.append(figures.coverage(context.figure_name("coverage"), bands, context.step_s))
     free_run = result.residuals[FREE_RUN]
     if free_run is not None:
@@ -186,7 +191,7 @@ def cycles_section(accuracy: Accuracy, step_s: float, unit: str) -> ReportSectio
             f"RMSE in {unit} over the horizon.",
         ),
     )
-    first_table, *others = cycle_tables(accuracy, unit)
+    first_table, *others = _cycle_tables(accuracy, unit)
     return ReportSection("Mixed cycles", (first_table, Pictures(pictures), *others))
 
 
@@ -287,27 +292,43 @@ def all_tables(result: Validation) -> list[Table]:
     """Return accuracy, horizons, single tests, parameters, bands, residuals and searches of each direction,
     and the tables of mixed cycles."""
     unit = result.unit
-    table_list: list[Table] = []
-    for direction, channel in result.channels.items():
-        accuracy = channel.accuracy
-        table_list += [
-            accuracy_table(direction, accuracy, unit),
-            horizon_table(direction, accuracy, unit),
-            single_test_table(direction, accuracy, unit),
-        ]
-        if channel.parameters is not None:
-            title = f"{direction}: parameters of the physics model"
-            table_list.append(parameter_table(title, channel.parameters))
-        if channel.characteristics is not None:
-            table_list += characteristic_tables(direction, channel.characteristics)
-        if channel.load_scatter is not None:
-            table_list.append(load_table(direction, channel.load_scatter))
-        if channel.paper_parameters is not None:
-            title = f"{direction}: parameters of the paper's transfer function"
-            table_list.append(parameter_table(title, channel.paper_parameters))
-        if accuracy.bands is not None:
-            table_list.append(band_table(direction, accuracy.bands, unit))
-        table_list.append(residual_table(direction, channel.residuals, unit))
-        if channel.searches:
-            table_list.append(search_table(direction, channel.searches, unit))
-    return table_list if result.cycles is None else table_list + cycle_tables(result.cycles.accuracy, unit)
+    tables = [
+        table
+        for direction, channel in result.channels.items()
+        for table in _direction_tables(direction, channel, unit)
+    ]
+    return tables if result.cycles is None else tables + _cycle_tables(result.cycles.accuracy, unit)
+
+
+def _direction_tables(direction: str, channel: ChannelResult, unit: str) -> Iterator[Table]:
+    accuracy = channel.accuracy
+    yield from _accuracy_tables(direction, accuracy, unit)
+    if channel.parameters is not None:
+        title = "parameters of the physics model"
+        yield parameter_table(direction, "parameters", title, channel.parameters).shown()
+    if channel.characteristics is not None:
+        yield speed_map_table(direction, channel.characteristics).shown()
+        yield characteristic_table(direction, channel.characteristics).shown()
+    if channel.load_scatter is not None:
+        yield load_table(direction, channel.load_scatter).shown()
+    if channel.paper_parameters is not None:
+        title = "parameters of the paper's transfer function"
+        yield parameter_table(direction, "paper-parameters", title, channel.paper_parameters).shown()
+    if accuracy.bands is not None:
+        yield band_table(direction, accuracy.bands, unit).shown()
+    yield residual_table(direction, channel.residuals, unit)
+    if channel.searches:
+        yield search_table(direction, channel.searches, unit)
+
+
+def _cycle_tables(accuracy: Accuracy, unit: str) -> list[Table]:
+    bands = [] if accuracy.bands is None else [band_table(CYCLES, accuracy.bands, unit).shown()]
+    return [*_accuracy_tables(CYCLES, accuracy, unit), *bands]
+
+
+def _accuracy_tables(section: str, accuracy: Accuracy, unit: str) -> list[Table]:
+    return [
+        accuracy_table(section, accuracy, unit).shown(),
+        horizon_table(section, accuracy, unit),
+        single_test_table(section, accuracy, unit).shown(),
+    ]

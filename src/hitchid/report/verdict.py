@@ -4,10 +4,18 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from hitchid._support import numbers
 from hitchid.model import Estimates
 from hitchid.model.estimates import NOT_ASSESSED
-from hitchid.report import numbers
-from hitchid.report.document import Finding, Findings, Rating, ReportSection, Table
+from hitchid.report.document import (
+    WORST_FIRST,
+    Finding,
+    Findings,
+    Rating,
+    ReportSection,
+    Table,
+    worst_first,
+)
 from hitchid.validation import Acceptance, Accuracy, BandFigures, ChannelResult, Check, Validation
 from hitchid.validation.results import BENCHMARK, CYCLES, FREE_RUN, GREYBOX, MIN_TESTS, model_name
 
@@ -44,7 +52,6 @@ ROUGH_FIT, POOR_FIT = 80.0, 50.0
 # Ratios of the grey box's RMSE some samples ahead to another model's that are worth a word: smaller ones are
 # of no use to anybody, from the larger one on the grey box is the wrong predictor; chosen.
 MIN_EXCESS, MAX_EXCESS = 1.05, 1.5
-WORST_FIRST = (Rating.BAD, Rating.CAUTION, Rating.GOOD)
 Reservation = tuple[Rating, str]
 
 
@@ -83,7 +90,7 @@ def verdict_section(result: Validation, acceptance: Acceptance | None) -> tuple[
         parameters = result.channels[section].parameters
         if parameters is not None and parameters.parameters:
             findings.append(_parameter_finding(section, parameters))
-    return tuple(sorted(findings, key=lambda finding: WORST_FIRST.index(finding.level)))
+    return worst_first(findings)
 
 
 def _title(section: str) -> str:
@@ -127,11 +134,11 @@ def _determined(channel: ChannelResult) -> Iterator[str]:
         )
     if channel.characteristics is not None:
         points = channel.characteristics.speed_map
-        known = sum(point.determined for point in points)
+        determined = sum(point.determined for point in points)
         yield (
             "the speed map is determined"
-            if known == len(points)
-            else f"the speed map is determined at {known} of {numbers.count(len(points), 'point')}"
+            if determined == len(points)
+            else f"the speed map is determined at {determined} of {numbers.count(len(points), 'point')}"
         )
 
 

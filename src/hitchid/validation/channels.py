@@ -29,7 +29,6 @@ from hitchid.validation.results import (
     ModelFigures,
     Predictions,
     RunFigures,
-    commands_of,
     figures_by_test,
 )
 
@@ -218,25 +217,18 @@ def _accuracy(
 def _predictions(
     runs: _ModelRuns, half_width: np.ndarray | None, tests: Sequence[Record], factor: float
 ) -> Predictions:
-    def of_tests(rows: np.ndarray) -> tuple[np.ndarray, ...]:
-        return tuple(factor * row for row in remove_padding(rows, tests))
-
     models = {
         BENCHMARK: runs.benchmark,
         ONE_STEP: runs.multi_step[GREYBOX][0],
         FREE_RUN: runs.free_run,
         **{name: baseline.free_run for name, baseline in runs.baselines.items()},
     }
-    return Predictions(
-        names=tuple(record.name for record in tests),
-        time_s=tuple(record.step_s * np.arange(len(record)) for record in tests),
-        actual=tuple(factor * record.displacement for record in tests),
-        models={name: of_tests(rows) for name, rows in models.items()},
-        band=None
-        if half_width is None
-        else (of_tests(runs.free_run - half_width), of_tests(runs.free_run + half_width)),
-        commands=commands_of(tests),
-    )
+    without_padding = {name: remove_padding(rows, tests) for name, rows in models.items()}
+    ends = None
+    if half_width is not None:
+        lower, upper = runs.free_run - half_width, runs.free_run + half_width
+        ends = remove_padding(lower, tests), remove_padding(upper, tests)
+    return Predictions.of(tests, without_padding, factor, band=ends)
 
 
 def _residual_tests(runs: _ModelRuns, predicted: np.ndarray, factor: float) -> ResidualTests | None:

@@ -13,7 +13,7 @@ from hitchid._support import checks
 from hitchid._support.files import canonical_json
 from hitchid._support.progress import ProgressCallback, silent, subtask_progress
 from hitchid._support.records import Value
-from hitchid._support.tables import DataTable, Summarised, Summary, csv_files, stacked
+from hitchid._support.tables import DataTable, Summarised, Table, csv_files, stacked
 from hitchid.errors import InputError
 from hitchid.logs.campaign import Campaign
 from hitchid.model import Hitch
@@ -174,7 +174,10 @@ class ModelComparison(Value, Summarised):
             "unit": self.unit,
             "left_out": self.left_out,
             "models": dict(zip(self.labels, self.names, strict=True)),
-            **{label: each.metrics for label, each in zip(self.labels, self.validations, strict=True)},
+            **{
+                label: validation.metrics
+                for label, validation in zip(self.labels, self.validations, strict=True)
+            },
             "better": {section: self.verdict(section).better for section in self.sections},
             "leaderboard": {
                 section: [row.describe() for row in leaderboard.section(section)] for section in self.sections
@@ -207,7 +210,7 @@ class ModelComparison(Value, Summarised):
             **csv_files(self.tables().values()),
         }
 
-    def _summary(self) -> Summary:
+    def _summary(self) -> Table:
         rows, notes = [], []
         for section in self.sections:
             by_label = dict(zip(self.labels, self.accuracy(section), strict=True))

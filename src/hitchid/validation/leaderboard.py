@@ -7,8 +7,9 @@ from itertools import combinations
 from typing import TYPE_CHECKING
 
 from hitchid._support.metrics import SIGNIFICANCE, holm
+from hitchid._support.numbers import count, digits
 from hitchid._support.records import short_repr
-from hitchid._support.tables import Summarised, Summary, count, dataframe
+from hitchid._support.tables import Summarised, Table, dataframe
 from hitchid.validation.results import (
     FREE_RUN,
     GREYBOX,
@@ -18,7 +19,6 @@ from hitchid.validation.results import (
     ModelFigures,
     Predictions,
     RunFigures,
-    value_text,
 )
 
 if TYPE_CHECKING:
@@ -76,16 +76,7 @@ class LeaderboardRow:
             "model": self.label,
             "name": self.name,
             "tests": self.tests,
-            **{
-                run: {
-                    "rmse": figures.rmse,
-                    "rmse_error": figures.rmse_error,
-                    "fit": figures.fit,
-                    "fit_error": figures.fit_error,
-                }
-                for run, figures in runs.items()
-                if figures is not None
-            },
+            **{run: figures.main for run, figures in runs.items() if figures is not None},
             "horizons": {
                 "steps": list(self.horizons),
                 "rmse": [rmse for rmse, _ in self.horizons.values()],
@@ -139,7 +130,7 @@ class Leaderboard(Summarised):
         """
         return dataframe([row.columns(self.unit) for row in self.rows])
 
-    def _summary(self) -> Summary:
+    def _summary(self) -> Table:
         names = dict.fromkeys(row.name for row in self.rows)
         header = ("section", "rank", "model", f"free run, RMSE / {self.unit}", "fit / %", "difference")
         rows = (
@@ -147,13 +138,13 @@ class Leaderboard(Summarised):
                 row.section,
                 str(row.rank),
                 row.name,
-                value_text(row.free_run.rmse, row.free_run.rmse_error),
-                value_text(row.free_run.fit, row.free_run.fit_error),
+                digits(row.free_run.rmse, row.free_run.rmse_error),
+                digits(row.free_run.fit, row.free_run.fit_error),
                 row.standing.value if row.tested is None else f"{row.standing.value}, p = {row.tested:.2g}",
             )
             for row in self.rows
         )
-        return Summary(f"Leaderboard of {count(len(names), 'model')}", header, tuple(rows))
+        return Table(f"Leaderboard of {count(len(names), 'model')}", header, tuple(rows))
 
 
 def section_rows(

@@ -106,8 +106,8 @@ def plot_residuals(
     """Draw correlations of the errors, and errors over variables; see `Validation.plot_residuals`."""
     with canvas(axes, 5, height_in=RESIDUALS_IN) as drawn:
         if residuals is None:
-            for each in drawn:
-                each.text(0.5, 0.5, f"{title}: diverged", ha="center", transform=each.transAxes)
+            for subplot in drawn:
+                subplot.text(0.5, 0.5, f"{title}: diverged", ha="center", transform=subplot.transAxes)
         else:
             draw_residual_correlations(drawn[0], drawn[1], residuals)
             draw_residuals_by_variable(drawn[2:], residuals, unit, command_unit)
@@ -137,10 +137,10 @@ def draw_residuals_by_variable(
     axes: Sequence[Axes] | np.ndarray, residuals: ResidualTests, unit: str, command_unit: str
 ) -> None:
     """Draw mean and spread of the errors over displacement, speed and command, one axes each."""
-    for each, (name, text) in zip(axes, VARIABLES.items(), strict=True):
+    for subplot, (name, text) in zip(axes, VARIABLES.items(), strict=True):
         bins = [
             ErrorBin(row.lower, row.upper, row.mean, float(np.sqrt(max(row.rmse**2 - row.mean**2, 0.0))))
             for row in residuals.by_quantity[name].bins
         ]
-        draw_error_bins(each, bins, text.format(unit=unit, command=command_unit))
+        draw_error_bins(subplot, bins, text.format(unit=unit, command=command_unit))
     axes[1].set_ylabel(f"error, mean ± std / {unit}")

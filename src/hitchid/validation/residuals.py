@@ -1,6 +1,6 @@
 """Tests of residuals: whiteness, independence of the command, normality, size by operating point."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -117,15 +117,19 @@ def residual_tests(
     autocorrelation is r_k = Σ e(t) e(t − k) / N_k, the cross-correlation the same with u(t − k). Negative
     autocorrelation makes no test stricter than for white errors. Constant errors or commands have
     correlations of 0 and p-values of 1.
-    Arrays have shape [N_i] for each test; commands are effective, in any unit, speeds the model's per s. Lags
-    go so far that N_k is at least N/2.
+    Arrays are finite, of shape [N_i] for each test; commands are effective, in any unit, speeds the model's
+    per s. Lags go so far that N_k is at least N/2.
 
     Raises:
-        InputError: shapes differ, a value is not finite, there are fewer than 8 samples, or the sampling
-            time or the lags are not positive.
+        InputError: there are fewer than 8 samples.
     """
     series = {"errors": errors, "commands": commands, "displacements": displacements, "speeds": speeds}
-    tests = _check_series(series, step_s, lags)
+    tests = {
+        name: [np.asarray(test, dtype=np.float64) for test in arrays if np.size(test)]
+        for name, arrays in series.items()
+    }
+    if (samples := sum(test.size for test in tests["errors"])) < MIN_SAMPLES:
+        raise InputError(f"expected at least {MIN_SAMPLES} samples, got {samples}")
     size = np.array([test.size for test in tests["errors"]])
     pairs = np.maximum(size[:, None] - np.arange(size.max()), 0).sum(axis=0)
     max_lag = min(lags, int(np.sum(pairs >= int(size.sum()) / 2)) - 1)
@@ -220,31 +224,6 @@ def _normality(
         "normality_p": p_value,
         "normal": p_value >= LEVEL,
     }
-
-
-def _check_series(
-    series: Mapping[str, Sequence[np.ndarray]], step_s: float, lags: int
-) -> dict[str, list[np.ndarray]]:
-    """Return the tests that have samples, as float64, or raise `InputError`."""
-    if not (np.isfinite(step_s) and step_s > 0 and lags >= 1):
-        raise InputError(f"expected a positive step_s and at least 1 lag, got {step_s} s and {lags}")
-    tests = {name: [np.asarray(test, dtype=np.float64) for test in arrays] for name, arrays in series.items()}
-    shapes = [test.shape for test in tests["errors"]]
-    for name, arrays in tests.items():
-        if [test.shape for test in arrays] != shapes or any(len(shape) != 1 for shape in shapes):
-            received = [test.shape for test in arrays]
-            raise InputError(f"{name}: expected the shapes of errors, {shapes}, each [N_i], got {received}")
-        for test_index, test in enumerate(arrays):
-            if not np.all(np.isfinite(test)):
-                sample = int(np.flatnonzero(~np.isfinite(test))[0])
-                raise InputError(
-                    f"{name} of test {test_index}: expected finite numbers, got {test[sample]} "
-                    f"at sample {sample}"
-                )
-    count = sum(shape[0] for shape in shapes)
-    if count < MIN_SAMPLES:
-        raise InputError(f"expected at least {MIN_SAMPLES} samples, got {count}")
-    return {name: [test for test in arrays if test.size] for name, arrays in tests.items()}
 
 
 def _standardised(tests: Sequence[np.ndarray]) -> tuple[list[np.ndarray], float, float]:

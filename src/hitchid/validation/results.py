@@ -7,8 +7,10 @@ from string import ascii_uppercase
 import numpy as np
 
 from hitchid._support.metrics import SIGNIFICANCE, better_p_value, error_figures, rmse_error
+from hitchid._support.numbers import count, digits
 from hitchid._support.records import Value, short_repr
-from hitchid._support.tables import Summary, count, sparkline
+from hitchid._support.screen import sparkline
+from hitchid._support.tables import Table
 from hitchid.baselines.registry import BASELINES, all_baselines
 from hitchid.logs.record import COMMAND, Record
 from hitchid.model import Characteristics, Estimates, LoadScatter, SearchSummary
@@ -41,6 +43,33 @@ class Predictions(Value):
     models: Mapping[str, Rows]
     band: tuple[Rows, Rows] | None = None
     commands: Mapping[str, Rows] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        tests: Sequence[Record],
+        models: Mapping[str, Sequence[np.ndarray]],
+        factor: float,
+        *,
+        band: tuple[Sequence[np.ndarray], Sequence[np.ndarray]] | None = None,
+    ) -> "Predictions":
+        """Return tests with the predictions of models, one array [N_i] a test, all times a factor."""
+
+        def scaled(rows: Iterable[np.ndarray]) -> Rows:
+            return tuple(factor * row for row in rows)
+
+        commands = dict.fromkeys(r for test in tests for r in COMMAND.values() if r in test.signals)
+        return cls(
+            names=tuple(test.name for test in tests),
+            time_s=tuple(test.step_s * np.arange(len(test)) for test in tests),
+            actual=scaled(test.displacement for test in tests),
+            models={name: scaled(rows) for name, rows in models.items()},
+            band=None if band is None else (scaled(band[0]), scaled(band[1])),
+            commands={
+                name: tuple(test.signals.get(name, np.zeros(len(test))) for test in tests)
+                for name in commands
+            },
+        )
 
     def take(self, indices: Iterable[int]) -> "Predictions":
         """Return some of the tests."""
@@ -101,14 +130,6 @@ def concatenated_time(tests: Predictions) -> np.ndarray:
         shifted_times.append(start + time_s)
         start += float(time_s[-1])
     return np.concatenate(shifted_times)
-
-
-def commands_of(records: Sequence[Record]) -> dict[str, Rows]:
-    """Return the commands of records, name to values."""
-    names = dict.fromkeys(role for record in records for role in COMMAND.values() if role in record.signals)
-    return {
-        name: tuple(record.signals.get(name, np.zeros(len(record))) for record in records) for name in names
-    }
 
 
 # Names of models and runs, for tables, notices and figures.
@@ -213,6 +234,12 @@ class RunFigures:
             return None
         return (100.0 - self.fit) * self.rmse_error / self.rmse
 
+    @property
+    def main(self) -> dict[str, float | None]:
+        """RMSE and fit by name, with their standard errors."""
+        errors = {"rmse": self.rmse, "rmse_error": self.rmse_error}
+        return {**errors, "fit": self.fit, "fit_error": self.fit_error}
+
     def errs_less(self, other: "RunFigures") -> bool:
         """Return whether this RMSE is finite and below the other; a run that diverged is never better."""
         return self.rmse is not None and (other.rmse is None or self.rmse < other.rmse)
@@ -242,10 +269,8 @@ class ModelFigures:
         for run, figures in ((FREE_RUN, self.free_run), (ONE_STEP, self.one_step)):
             if figures is not None:
                 columns |= {
-                    f"{run}_rmse_{unit}": figures.rmse,
-                    f"{run}_rmse_error_{unit}": figures.rmse_error,
-                    f"{run}_fit_percent": figures.fit,
-                    f"{run}_fit_error_percent": figures.fit_error,
+                    f"{run}_{name}_{'percent' if name.startswith('fit') else unit}": value
+                    for name, value in figures.main.items()
                 }
         return columns
 
@@ -356,23 +381,13 @@ class Accuracy:
         return self.free_run() == self.free_run(BENCHMARK)
 
 
-DIVERGED = "diverged"
-
-
-def value_text(value: float | None, error: float | None = None) -> str:
-    """Return a value with its standard error, as on a screen; None is a run that diverged."""
-    if value is None:
-        return DIVERGED
-    return f"{value:.4g}" if error is None else f"{value:.4g} ± {error:.2g}"
-
-
 def errors_summary(
     title: str,
     unit: str,
     accuracies: Mapping[str, Accuracy],
     rows: Iterable[tuple[str, str, ModelFigures, Accuracy | None]],
     notes: tuple[str, ...],
-) -> Summary:
+) -> Table:
     """Return the main figures of models, as a validation and a comparison show them."""
     tests = ", ".join(
         count(len(accuracy.tests), "unseen cycle" if section == CYCLES else f"unseen {section} test")
@@ -381,8 +396,8 @@ def errors_summary(
     cells, pictures = [], []
     for section, name, figures, pictured in rows:
         step, free = figures.one_step, figures.free_run
-        errors = ("", "", "") if free is None else map(value_text, (free.rmse, free.fit, free.max_abs))
-        cells.append((section, name, "" if step is None else value_text(step.rmse), *errors))
+        errors = ("", "", "") if free is None else map(digits, (free.rmse, free.fit, free.max_abs))
+        cells.append((section, name, "" if step is None else digits(step.rmse), *errors))
         picture = ""
         if pictured is not None:
             shown = pictured.predictions
@@ -391,7 +406,7 @@ def errors_summary(
             picture = sparkline([measured, predicted], label_text, [measured, measured])
         pictures.append(picture)
     header = (f"RMSE one step / {unit}", f"RMSE free run / {unit}", "fit / %", f"largest / {unit}")
-    return Summary(f"{title} {tests}", ("direction", "model", *header), tuple(cells), notes, tuple(pictures))
+    return Table(f"{title} {tests}", ("direction", "model", *header), tuple(cells), notes, tuple(pictures))
 
 
 @short_repr

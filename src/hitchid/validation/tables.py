@@ -1,187 +1,45 @@
-"""Content of `metrics.json`, and a table for each file in `tables/`, from the records of a validation."""
+"""Tables of a validation: what an error, an estimate, a band looks like, on every page and in every file."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from operator import itemgetter
 from typing import Any
 
-from hitchid._support.tables import Cell, DataTable
-from hitchid.model import Characteristics, Estimates, Interval, LoadScatter, Quantity, SearchSummary, TwoModes
-from hitchid.validation.report_data import LogUse
+import numpy as np
+
+from hitchid._support import numbers
+from hitchid._support.tables import (
+    Cell,
+    Column,
+    DataTable,
+    RecordTable,
+    Table,
+    field_column,
+    field_of,
+    number_column,
+)
+from hitchid.model import SearchSummary
+from hitchid.validation.estimate_tables import (
+    characteristic_table,
+    load_table,
+    parameter_table,
+    speed_map_table,
+)
+from hitchid.validation.report_data import HASH_DIGITS, LogUse
 from hitchid.validation.residuals import ResidualTests
 from hitchid.validation.results import (
-    BENCHMARK,
     CYCLES,
-    FREE_RUN,
-    GREYBOX,
     RUNS,
     Accuracy,
     BandFigures,
     ChannelResult,
     CycleResult,
+    ModelFigures,
     RunFigures,
     in_table_order,
+    model_name,
 )
 
-JsonObject = dict[str, Any]
 Row = dict[str, Cell]
-
-# Content of `metrics.json`.
-
-
-def validation_json(
-    unit: str, channels: Mapping[str, ChannelResult], cycles: CycleResult | None, mode_test: TwoModes | None
-) -> JsonObject:
-    """Return the content of `metrics.json`; errors in `unit`, parameters in the model's units."""
-    content: JsonObject = {
-        "unit": unit,
-        "channels": {direction: _channel(result) for direction, result in channels.items()},
-        CYCLES: {"tests": []},
-    }
-    if cycles is not None:
-        accuracy = cycles.accuracy
-        content[CYCLES] = {**_accuracy(accuracy), **_models(accuracy), "max_jump": cycles.max_jump}
-    return content if mode_test is None else {**content, "two_modes": asdict(mode_test)}
-
-
-def _channel(result: ChannelResult) -> JsonObject:
-    models = _models(result.accuracy)
-    scatter = result.load_scatter
-    content = {
-        **_accuracy(result.accuracy),
-        BENCHMARK: models.pop(BENCHMARK),
-        GREYBOX: models.pop(GREYBOX),
-        "baselines": models,
-        "residuals": {run: tests and asdict(tests) for run, tests in result.residuals.items()},
-        "parameters": result.parameters and _estimates(result.parameters),
-        "characteristics": result.characteristics and _characteristics(result.characteristics),
-        "load_scatter": scatter
-        and {
-            "value": scatter.scatter,
-            "interval_95": list(scatter.interval),
-            "shrinkage": scatter.shrinkage,
-            "determined": scatter.determined,
-            "tests": {
-                test.test: {"value": test.speed, "interval_95": list(test.interval)} for test in scatter.tests
-            },
-        },
-        "paper_parameters": result.paper_parameters and _estimates(result.paper_parameters),
-        "searches": {
-            search.name: {
-                "seeds": len(search.rmse),
-                "rmse": list(search.rmse),
-                "evaluations": list(search.evaluations),
-                "failures": list(search.failures),
-                "median_run": {
-                    "rmse": list(search.median_rmse),
-                    "values": [list(row) for row in search.median_values],
-                },
-            }
-            for search in result.searches
-        }
-        or None,
-    }
-    return {name: value for name, value in content.items() if value is not None}
-
-
-def _models(accuracy: Accuracy) -> JsonObject:
-    return {
-        name: {run: asdict(figures) for run in RUNS if (figures := models.run(run)) is not None}
-        for name, models in accuracy.models.items()
-    }
-
-
-def _accuracy(accuracy: Accuracy) -> JsonObject:
-    """Return the content common to directions and cycles, without the figures of the models."""
-    horizons, bands = accuracy.horizons, accuracy.bands
-    content: JsonObject = {
-        "tests": list(accuracy.tests),
-        "horizons": {
-            "steps": list(horizons.steps),
-            **{name: list(rmse) for name, rmse in horizons.rmse.items()},
-        },
-        "per_test": {name: {FREE_RUN: asdict(run)} for name, run in accuracy.per_test.items()},
-    }
-    if bands is not None:
-        free_run = {"covered": bands.covered, "covered_error": bands.covered_error, "width": bands.width}
-        content["bands"] = {"coverage": bands.coverage, FREE_RUN: free_run}
-        if bands.calibrated_on is not None:
-            of_horizons = dict(zip((FREE_RUN, "horizons"), bands.calibrated_on, strict=True))
-            content["bands"]["calibrated_on"] = of_horizons
-        if bands.sensor_noise is not None:
-            content["bands"]["sensor_noise"] = bands.sensor_noise
-        if bands.horizons is not None:
-            ahead = {name: list(values) for name, values in asdict(bands.horizons).items()}
-            content["bands"]["horizons"] = ahead
-    return content
-
-
-def _estimates(estimates: Estimates) -> JsonObject:
-    return {
-        "tests": estimates.tests,
-        "independent": estimates.rows,
-        "estimates": {
-            estimate.name: {
-                "symbol": estimate.symbol,
-                "unit": estimate.unit,
-                "value": estimate.value,
-                "standard_error": estimate.error,
-                "interval_95": list(estimate.interval),
-                "method": estimate.method,
-                "bootstrap_95": estimate.bootstrap and list(estimate.bootstrap),
-                "determined": estimate.determined,
-                "verdict": estimate.verdict,
-                "sensitivity": estimate.sensitivity,
-                "bounds": [estimate.lower, estimate.upper],
-                "profile": [list(point) for point in estimate.profile],
-            }
-            for estimate in estimates.parameters
-        },
-        "derived": {
-            quantity.name: {
-                "unit": quantity.unit,
-                "value": quantity.value,
-                "interval_95": list(quantity.interval),
-                "determined": quantity.determined,
-            }
-            for quantity in estimates.derived
-        },
-        "correlation": [list(row) for row in estimates.correlation],
-    }
-
-
-def _characteristics(characteristics: Characteristics) -> JsonObject:
-    def quantity(result: Quantity | None) -> JsonObject | None:
-        return result and {"value": result.value, **_ends(result.interval), "determined": result.determined}
-
-    return {
-        "command_unit": characteristics.command_unit,
-        "speed_unit": characteristics.speed_unit,
-        "load": characteristics.load,
-        "dead_zone": quantity(characteristics.dead_zone),
-        "flow_begins": quantity(characteristics.opening),
-        "step_command": characteristics.level,
-        "delay_s": quantity(characteristics.delay),
-        "response_time_s": quantity(characteristics.response_time),
-        "speed_map": [
-            {
-                "command": point.command,
-                "load": point.load,
-                "speed": point.speed,
-                **_ends(point.interval),
-                "determined": point.determined,
-            }
-            for point in characteristics.speed_map
-        ],
-        "measured_speeds": [asdict(measured) for measured in characteristics.measured],
-    }
-
-
-def _ends(interval: Interval | None, prefix: str = "", suffix: str = "") -> Row:
-    lower, upper = interval or (None, None)
-    return {f"{prefix}lower{suffix}": lower, f"{prefix}upper{suffix}": upper}
-
-
-# Tables with numbers at full precision.
 
 
 def validation_tables(
@@ -190,180 +48,220 @@ def validation_tables(
     cycles: CycleResult | None,
     model_units: Mapping[str, str],
 ) -> Iterator[DataTable]:
-    """Yield the tables of each direction, then those of mixed cycles."""
+    """Yield the tables of each direction as data, then those of mixed cycles."""
     for direction, channel in channels.items():
-        yield from _accuracy_tables(direction, channel.accuracy, unit)
+        yield from _accuracy_data(direction, channel.accuracy, unit)
         for name, estimates in (
             ("parameters", channel.parameters),
             ("paper-parameters", channel.paper_parameters),
         ):
             if estimates is not None:
-                yield _parameter_data(f"{direction}-{name}", estimates)
+                yield parameter_table(direction, name, "", estimates).data()
         if channel.characteristics is not None:
-            yield _speed_map_data(f"{direction}-speed-map", channel.characteristics, model_units)
-            yield _characteristic_data(f"{direction}-characteristics", channel.characteristics)
+            load_unit = model_units.get(channel.characteristics.load or "", "")
+            yield speed_map_table(direction, channel.characteristics, load_unit=load_unit).data()
+            yield characteristic_table(direction, channel.characteristics).data()
         if channel.load_scatter is not None:
-            yield _load_scatter_data(f"{direction}-load-scatter", channel.load_scatter)
+            yield load_table(direction, channel.load_scatter).data()
         yield _residual_data(f"{direction}-residuals", channel.residuals, unit)
         yield _residual_bin_data(f"{direction}-residuals-by-quantity", channel.residuals, unit)
         if channel.searches:
             yield _search_data(f"{direction}-searches", channel.searches, unit)
     if cycles is not None:
-        yield from _accuracy_tables(CYCLES, cycles.accuracy, unit)
+        yield from _accuracy_data(CYCLES, cycles.accuracy, unit)
 
 
-def log_table(logs: Sequence[LogUse]) -> DataTable:
-    """Return the logs of a campaign and their use."""
-    return DataTable.of_rows(
-        "logs",
-        (
-            {
-                "log": log.name,
-                "kind": log.kind,
-                "used_as": log.used_as,
-                "samples": log.samples,
-                "step_s": log.step_s,
-                "duration_s": log.duration_s,
-                "sha256_start": log.digest,
-            }
-            for log in logs
-        ),
-    )
-
-
-def _accuracy_tables(section: str, accuracy: Accuracy, unit: str) -> Iterator[DataTable]:
-    yield DataTable.of_rows(
-        f"{section}-accuracy",
-        (
-            {"model": name, "run": run, **_error_cells(figures, unit)}
-            for run in RUNS
-            for name in in_table_order(accuracy.models)
-            if (figures := accuracy.models[name].run(run)) is not None
-        ),
-    )
+def _accuracy_data(section: str, accuracy: Accuracy, unit: str) -> Iterator[DataTable]:
+    yield accuracy_table(section, accuracy, unit).data()
     horizons = accuracy.horizons
     models = {f"{model}_rmse_{unit}": horizons.rmse[model] for model in in_table_order(horizons.rmse)}
     yield DataTable.of_columns(f"{section}-horizons", {"horizon_samples": horizons.steps, **models})
-    yield DataTable.of_rows(
-        f"{section}-tests",
-        ({"test": test, **_error_cells(figures, unit)} for test, figures in accuracy.per_test.items()),
-    )
+    yield single_test_table(section, accuracy, unit).data()
     if accuracy.bands is not None:
-        yield _band_data(f"{section}-bands", accuracy.bands, unit)
+        yield band_table(section, accuracy.bands, unit).data()
 
 
-def _error_cells(figures: RunFigures, unit: str) -> Row:
-    return {
-        f"rmse_{unit}": figures.rmse,
-        f"rmse_standard_error_{unit}": figures.rmse_error,
-        f"mae_{unit}": figures.mae,
-        "r2": figures.r2,
-        "fit_percent": figures.fit,
-        f"max_abs_{unit}": figures.max_abs,
-        f"share_below_1_{unit}": figures.within_1,
-    }
+# Errors of a run.
 
 
-def _band_data(name: str, bands: BandFigures, unit: str) -> DataTable:
-    """Return the share of unseen samples inside the bands: of the free run, then of each horizon."""
+def error_columns(unit: str) -> tuple[Column, ...]:
+    """Return the columns of the errors of a run, which is the last item of each record.
 
-    def row(run: str, step: int | None, covered: float, width: float) -> Row:
-        shares: Row = {"nominal_share": bands.coverage, "covered_share": covered}
-        return {"run": run, "horizon_samples": step, **shares, f"mean_width_{unit}": width}
+    On pages every error has its significant digits. All follow from the standard error s of the RMSE r over
+    tests: R² = 1 − (r/y)² has 2 (1 − R²) s/r and the fit 100 (1 − r/y) has (100 − fit) s/r; at most five
+    decimals of R² and two of the fit.
+    """
 
-    free_run = row("free_run", None, bands.covered, bands.width)
-    rows = [free_run | {"covered_standard_error": bands.covered_error}]
-    if bands.horizons is not None:
-        ahead = zip(bands.horizons.steps, bands.horizons.covered, bands.horizons.width, strict=True)
-        rows += [row("horizon", step, covered, width) for step, covered, width in ahead]
-    return DataTable.of_rows(name, rows)
+    def column(key: str, label: str, name: str, text: Callable[[Any], str]) -> Column:
+        def shown(record: tuple) -> str:
+            run = record[-1]
+            return numbers.DIVERGED if None in (run.rmse, run.r2, run.fit, run.within_1) else text(run)
 
+        return Column(key, label, lambda record: getattr(record[-1], name), shown)
 
-def _parameter_data(name: str, estimates: Estimates) -> DataTable:
-    """Return parameters, then quantities derived from them; the unit of each row is in a column."""
-    parameters: list[Row] = [
-        {
-            "name": estimate.name,
-            "symbol": estimate.symbol,
-            "unit": estimate.unit,
-            "value": estimate.value,
-            "standard_error": estimate.error,
-            **_ends(estimate.interval, "interval_95_"),
-            "method": estimate.method,
-            **_ends(estimate.bootstrap, "bootstrap_95_"),
-            "bound_lower": estimate.lower,
-            "bound_upper": estimate.upper,
-            "rmse_change_for_1_percent": estimate.sensitivity,
-            "determined": estimate.determined,
-            "verdict": estimate.verdict,
-        }
-        for estimate in estimates.parameters
-    ]
-    derived: list[Row] = [
-        {"name": quantity.name, "unit": quantity.unit, **_quantity_cells(quantity)}
-        for quantity in estimates.derived
-    ]
-    return DataTable.of_rows(name, [*parameters, *derived])
-
-
-def _quantity_cells(quantity: Quantity) -> Row:
-    ends = _ends(quantity.interval, "interval_95_")
-    return {"value": quantity.value, **ends, "determined": quantity.determined}
-
-
-def _speed_map_data(name: str, characteristics: Characteristics, model_units: Mapping[str, str]) -> DataTable:
-    """Return the speed map, then the measured speeds of the identification tests."""
-    command, speed = f"command_{characteristics.command_unit}", f"speed_{characteristics.speed_unit}"
-    load = characteristics.load and f"{characteristics.load}_{model_units[characteristics.load]}"
-
-    def cells(level: float, value: float, load_value: float | None) -> Row:
-        return {command: level, **({load: load_value} if load else {}), speed: value}
-
-    modelled: list[Row] = [
-        {
-            "origin": "model",
-            **cells(point.command, point.speed, point.load),
-            **_ends(point.interval, "interval_95_", f"_{characteristics.speed_unit}"),
-            "determined": point.determined,
-        }
-        for point in characteristics.speed_map
-    ]
-    measured: list[Row] = [
-        {"origin": "measured", **cells(point.command, point.speed, point.load)}
-        for point in characteristics.measured
-    ]
-    return DataTable.of_rows(name, [*modelled, *measured])
-
-
-def _characteristic_data(name: str, characteristics: Characteristics) -> DataTable:
-    return DataTable.of_rows(
-        name,
-        (
-            {
-                "quantity": quantity_name,
-                "unit": unit,
-                **_quantity_cells(quantity),
-                f"step_to_{characteristics.command_unit}": characteristics.level,
-            }
-            for quantity_name, (quantity, unit) in characteristics.quantities.items()
+    return (
+        column(
+            f"rmse_{unit}", f"RMSE / {unit}", "rmse", lambda run: numbers.with_error(run.rmse, run.rmse_error)
+        ),
+        Column(f"rmse_standard_error_{unit}", value=lambda record: record[-1].rmse_error),
+        column(f"mae_{unit}", f"MAE / {unit}", "mae", lambda run: numbers.rounded(run.mae, run.rmse_error)),
+        column("r2", "R²", "r2", _r2_text),
+        column("fit_percent", "fit / %", "fit", _fit_text),
+        column(
+            f"max_abs_{unit}",
+            f"max abs / {unit}",
+            "max_abs",
+            lambda run: numbers.rounded(run.max_abs, run.rmse_error),
+        ),
+        column(
+            f"share_below_1_{unit}",
+            f"below 1 {unit} / %",
+            "within_1",
+            lambda run: numbers.percent(run.within_1),
         ),
     )
 
 
-def _load_scatter_data(name: str, load_scatter: LoadScatter) -> DataTable:
-    """Return the scatter of the speed between tests, then each test's own speed, all relative."""
-    scatter: Row = {
-        "test": "scatter",
-        "speed": load_scatter.scatter,
-        **_ends(load_scatter.interval, "interval_95_"),
-        "shrinkage": load_scatter.shrinkage,
-        "determined": load_scatter.determined,
-    }
-    tests: list[Row] = [
-        {"test": test.test, "speed": test.speed, **_ends(test.interval, "interval_95_")}
-        for test in load_scatter.tests
-    ]
-    return DataTable.of_rows(name, [scatter, *tests])
+def _r2_text(run: Any) -> str:
+    if not run.rmse_error or not run.rmse:
+        return f"{run.r2:.4f}"
+    return numbers.rounded(run.r2, 2 * (1 - run.r2) * (run.rmse_error / run.rmse), 5)
+
+
+def _fit_text(run: Any) -> str:
+    if not run.rmse_error or not run.rmse:
+        return f"{run.fit:.2f}"
+    return numbers.rounded(run.fit, (100 - run.fit) * (run.rmse_error / run.rmse), 2)
+
+
+def accuracy_table(section: str, accuracy: Accuracy, unit: str) -> RecordTable:
+    """Return the errors of every model on the unseen tests, one step ahead and in free run."""
+    tests = numbers.count(len(accuracy.tests), "unseen cycle" if section == CYCLES else "unseen test")
+    names = (
+        Column("model", "model", itemgetter(0), lambda record: model_name(record[0])),
+        Column("run", "run", itemgetter(1), lambda record: RUNS[record[1]]),
+    )
+    records = tuple(
+        (name, run, figures)
+        for run in RUNS
+        for name in in_table_order(accuracy.models)
+        if (figures := accuracy.models[name].run(run)) is not None
+    )
+    title = f"{section}: accuracy {'over' if section == CYCLES else 'on'} {tests}"
+    return RecordTable(f"{section}-accuracy", title, (*names, *error_columns(unit)), records)
+
+
+def single_test_table(section: str, accuracy: Accuracy, unit: str) -> RecordTable:
+    """Return the errors of the grey box in free run on every test."""
+    columns = (Column("test", "test", itemgetter(0)), *error_columns(unit))
+    title = f"{section}: grey box in free run, test by test"
+    return RecordTable(f"{section}-tests", title, columns, tuple(accuracy.per_test.items()))
+
+
+def summary_table(title: str, models: Iterable[tuple[str, ModelFigures]], unit: str) -> Table:
+    """Return RMSE one step ahead and in free run, fit and largest error in free run, for a terminal."""
+    columns = [column for column in error_columns(unit) if column.label]
+
+    def texts(run: RunFigures | None) -> list[str]:
+        return [column.shown((run,)) if run is not None else "" for column in columns]
+
+    rows = []
+    for name, figures in models:
+        rmse, _, _, fit, largest, _ = texts(figures.free_run)
+        rows.append((name, texts(figures.one_step)[0], rmse, fit, largest))
+    header = (f"{title}, RMSE / {unit}", "one step", "free run", "fit / %", "largest")
+    return Table("", header, tuple(rows))
+
+
+def horizon_table(section: str, accuracy: Accuracy, unit: str) -> Table:
+    """Return the RMSE of every model over each horizon."""
+    horizons = accuracy.horizons
+    rows = tuple(
+        (model_name(name), *map(numbers.digits, horizons.rmse[name]))
+        for name in in_table_order(horizons.rmse)
+    )
+    header = ("model", *map(str, horizons.steps))
+    return Table(f"{section}: RMSE / {unit} over the horizon in samples", header, rows)
+
+
+def band_table(section: str, bands: BandFigures, unit: str) -> RecordTable:
+    """Return the share of unseen samples inside the bands: of the free run, then of each horizon."""
+    columns = (
+        Column("run", value=lambda record: "free_run" if record[0] is None else "horizon"),
+        Column("horizon_samples", value=itemgetter(0)),
+        Column(
+            label="prediction",
+            text=lambda record: (
+                "free run" if record[0] is None else f"{numbers.count(record[0], 'sample')} ahead"
+            ),
+        ),
+        Column("nominal_share", value=lambda record: bands.coverage),
+        Column("covered_share", "covered / %", itemgetter(1), lambda record: numbers.percent(record[1])),
+        number_column(f"mean_width_{unit}", f"mean width / {unit}", itemgetter(2)),
+        Column("covered_standard_error", value=itemgetter(3)),
+    )
+    records = [(None, bands.covered, bands.width, bands.covered_error)]
+    if bands.horizons is not None:
+        ahead = zip(bands.horizons.steps, bands.horizons.covered, bands.horizons.width, strict=True)
+        records += [(*horizon, None) for horizon in ahead]
+    level = numbers.percent(bands.coverage, 0)
+    title = f"{section}: band for {level} % of the samples of an unseen test"
+    return RecordTable(f"{section}-bands", title, columns, tuple(records))
+
+
+# Logs, tests of the errors, and searches compared with equal budgets.
+
+
+def log_table(logs: Sequence[LogUse]) -> RecordTable:
+    """Return the logs of a campaign and their use."""
+    columns = (
+        Column("log", "log", field_of("name")),
+        field_column("kind"),
+        field_column("used_as", "used as"),
+        field_column("samples"),
+        number_column("step_s", "step / s", field_of("step_s")),
+        number_column("duration_s", "duration / s", field_of("duration_s")),
+        Column("sha256_start", f"SHA-256, first {HASH_DIGITS}", field_of("digest")),
+    )
+    return RecordTable("logs", f"{len(logs)} logs", columns, tuple(logs))
+
+
+def residual_table(direction: str, residuals: Mapping[str, ResidualTests | None], unit: str) -> Table:
+    """Return the tests of the errors, one step ahead and in free run."""
+    header = (
+        "errors",
+        f"mean ± std / {unit}",
+        "white",
+        "independent of the command",
+        "normal",
+        "explained by position / %",
+        "by speed / %",
+        "by command / %",
+        f"largest RMSE / {unit}",
+    )
+    rows = tuple((RUNS[run], *_residual_cells(tests, len(header) - 1)) for run, tests in residuals.items())
+    return Table(f"{direction}: tests of the errors, level 1 %", header, rows)
+
+
+def _residual_cells(tests: ResidualTests | None, count: int) -> tuple[str, ...]:
+    if tests is None:
+        return (numbers.DIVERGED, *[""] * (count - 1))
+    quantity, worst = max(
+        ((name, error_bin) for name, group in tests.by_quantity.items() for error_bin in group.bins),
+        key=lambda pair: pair[1].rmse,
+    )
+    return (
+        f"{tests.mean:.3g} ± {tests.deviation:.3g}",
+        _decision(tests.white, tests.whiteness_p),
+        _decision(tests.independent, tests.independence_p),
+        _decision(tests.normal, tests.normality_p),
+        *(numbers.percent(group.share, 0) for group in tests.by_quantity.values()),
+        f"{quantity} {worst.lower:.3g} … {worst.upper:.3g}: {worst.rmse:.3g}",
+    )
+
+
+def _decision(passed: bool, probability: float) -> str:
+    return f"{'yes' if passed else 'no'}, {numbers.p_value(probability)}"
 
 
 def _residual_data(name: str, residuals: Mapping[str, ResidualTests | None], unit: str) -> DataTable:
@@ -411,6 +309,39 @@ def _residual_bin_data(name: str, residuals: Mapping[str, ResidualTests | None],
             for error_bin in group.bins
         ),
     )
+
+
+def search_table(direction: str, searches: Sequence[SearchSummary], unit: str) -> Table:
+    """Return the final errors of several searches, best first."""
+    ends = {
+        search.name: np.array([np.inf if end is None else end for end in search.rmse]) for search in searches
+    }
+    best = min(float(errors.min()) for errors in ends.values())
+    medians = {name: float(np.median(errors)) for name, errors in ends.items()}
+    # Of equal medians the search with the better worst seed is first.
+    ordered = sorted(searches, key=lambda search: (medians[search.name], float(ends[search.name].max())))
+    rows = tuple(
+        (
+            search.name,
+            f"{medians[search.name]:.5g}",
+            f"{ends[search.name].max():.5g}",
+            numbers.percent(medians[search.name] / best - 1, 2),
+            f"{np.sum(ends[search.name] <= 1.01 * best)} of {len(search.rmse)}",
+            f"{np.mean(search.evaluations):.0f}",
+            str(sum(search.failures)),
+        )
+        for search in ordered
+    )
+    header = (
+        "search, best first",
+        f"median RMSE / {unit}",
+        f"worst seed / {unit}",
+        "median above the best / %",
+        "seeds within 1 % of the best",
+        "evaluations",
+        "failed",
+    )
+    return Table(f"{direction}: searches with equal evaluations, before least squares", header, rows)
 
 
 def _search_data(name: str, searches: Sequence[SearchSummary], unit: str) -> DataTable:

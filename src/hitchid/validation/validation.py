@@ -10,12 +10,14 @@ import numpy as np
 from hitchid._support import checks
 from hitchid._support.files import canonical_json, write_bytes, write_files, write_folder
 from hitchid._support.records import Value
-from hitchid._support.tables import DataTable, Summarised, Summary, csv_files, first_notes
+from hitchid._support.screen import first_notes
+from hitchid._support.tables import DataTable, Summarised, Table, csv_files
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.record import COMMAND
 from hitchid.model import Hitch, TwoModes
 from hitchid.validation.acceptance import Acceptance, check_limits
 from hitchid.validation.limits import AcceptanceLimits
+from hitchid.validation.metrics_json import validation_json
 from hitchid.validation.report_data import ReportData, log_uses, report_data
 from hitchid.validation.results import (
     BENCHMARK,
@@ -31,7 +33,7 @@ from hitchid.validation.results import (
     in_table_order,
     model_name,
 )
-from hitchid.validation.tables import log_table, validation_json, validation_tables
+from hitchid.validation.tables import log_table, validation_tables
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -86,7 +88,7 @@ class Validation(Value, Summarised):
         Numbers have full precision and units are in the names of the columns, such as `rmse_mm`.
         """
         results = validation_tables(self.unit, self.channels, self.cycles, self.model.units)
-        all_tables = [*results, log_table(log_uses(self.model, self.campaign))]
+        all_tables = [*results, log_table(log_uses(self.model, self.campaign)).data()]
         return {table.name: table for table in all_tables}
 
     def check(self, limits: AcceptanceLimits) -> Acceptance:
@@ -237,7 +239,7 @@ class Validation(Value, Summarised):
             **csv_files(self.tables().values()),
         }
 
-    def _summary(self) -> Summary:
+    def _summary(self) -> Table:
         rows = [
             (section, model_name(name), accuracy.models[name], accuracy if name == GREYBOX else None)
             for section, accuracy in self.accuracy.items()

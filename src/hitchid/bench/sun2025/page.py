@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hitchid._support import numbers
 from hitchid.bench.sun2025.results import DirectionResult, ErrorSummary, end_deviation, summary
 from hitchid.identification import ChannelTrace
 from hitchid.logs import LIFTING, LOWERING
@@ -22,7 +23,6 @@ from hitchid.report import (
     all_tables,
     direction_sections,
     logs_section,
-    numbers,
     origin_section,
     parameters_section,
     sentence,

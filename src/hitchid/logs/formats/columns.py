@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitchid._support.tables import count
+from hitchid._support.numbers import count
 from hitchid.errors import LogError
 from hitchid.logs.content import Content, LogChannel
 from hitchid.logs.formats.numerals import MISSING, CellError, Numerals, Stamps, expected, is_stamp

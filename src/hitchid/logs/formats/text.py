@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchid._support.inert import spreadsheet_text
-from hitchid._support.tables import count
+from hitchid._support.numbers import count
 from hitchid.errors import LogError
 from hitchid.logs.content import ALWAYS_ALLOWED_BYTES, ChannelSelection, Content, no_such_channel
 from hitchid.logs.formats import lvm

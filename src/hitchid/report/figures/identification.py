@@ -25,6 +25,7 @@ from hitchid.plots.style import (
     styled,
 )
 from hitchid.report.document import Picture, sentence
+from hitchid.validation.estimate_tables import ESTIMATE_COLUMNS
 from hitchid.validation.valve_map import ValveMap
 
 SEARCH_COLOURS = {"whale": "one_step", "differential-evolution": "benchmark", "multi-start": "greybox"}
@@ -200,13 +201,9 @@ def intervals(name: str, title: str, estimates: Sequence[Estimate]) -> Picture:
         "line: bootstrap interval. Grey: not determined by the tests.",
         "; ".join(f"{estimate.symbol}: {estimate.verdict}" for estimate in estimates),
         data={
-            "name": [estimate.name for estimate in estimates],
-            "unit": [estimate.unit for estimate in estimates],
-            "value": [estimate.value for estimate in estimates],
-            "interval_95_lower": [estimate.interval[0] for estimate in estimates],
-            "interval_95_upper": [estimate.interval[1] for estimate in estimates],
-            "bootstrap_95_lower": [estimate.bootstrap and estimate.bootstrap[0] for estimate in estimates],
-            "bootstrap_95_upper": [estimate.bootstrap and estimate.bootstrap[1] for estimate in estimates],
+            column.key: [column.value(estimate) for estimate in estimates]
+            for column in ESTIMATE_COLUMNS
+            if column.key in ("name", "unit", "value") or "_95_" in column.key
         },
     )
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hitchid.report import numbers
+from hitchid._support import numbers
 
 
 @pytest.mark.parametrize(
@@ -27,7 +27,7 @@ def test_a_value_has_the_digits_that_its_error_leaves_it(value, error, text):
 
 
 @given(value=st.floats(1e-2, 999.0), share=st.floats(1e-3, 1.0))
-def test_a_stated_value_is_right_to_a_twentieth_of_its_error(value, share):
+def test_a_stated_value_is_right_within_its_error(value, share):
     error = share * value
     shown, doubt = map(float, numbers.with_error(value, error).split(" ± "))
     # Two digits of the error: half a unit of the second is a twentieth of it at most; beyond 10 four digits
