@@ -8,10 +8,9 @@ import numpy as np
 
 from hitchid._support.records import Severity
 from hitchid.logs.audit.context import (
-    AuditFinding,
     CampaignContext,
+    Findings,
     RecordContext,
-    command_unit,
     join_names,
     quality,
     travel,
@@ -233,12 +232,12 @@ def _driven(context: CampaignContext) -> Iterator[tuple[str, int, list[RecordCon
             yield direction, 1 if ways > 0 else -1, tests
 
 
-def end_stops(context: CampaignContext) -> list[AuditFinding]:
+def end_stops(context: CampaignContext) -> Findings:
     """Find the logs that reach an end stop: a note, since identification leaves out samples at it.
 
     A stop that is said in `campaign.toml`, and that logs pass by 2 % of the range, is a warning.
     """
-    findings, tests = [], {test.record.name: test for test in context.tests}
+    tests = {test.record.name: test for test in context.tests}
     unit = context.tests[0].quality.unit
     stops = find_end_stops(context)
     for stop in stops.values():
@@ -253,16 +252,15 @@ def end_stops(context: CampaignContext) -> list[AuditFinding]:
                 way = np.abs(record.displacement - stop.position)
                 stretches, where, extent = [(int(np.argmin(way)), int(np.argmin(way)) + 1)], "", ""
                 where = f"reaches the end stop of {stop.position:.5g} {unit} at"
-            begin_s = record.start_s + stretches[0][0] * record.step_s
-            what = f"the piston {where} {begin_s:.6g} s{extent}"
+            what = f"the piston {where} {test.time_s(stretches[0][0]):.6g} s{extent}"
             advice = "end tests before the stop: samples at the stop contain no information on the valve"
-            findings.append(test.finding("end stop", Severity.NOTE, what, advice, intervals=stretches))
-    return findings + _passed(context) + _stalled(context, stops)
+            yield test.finding("end stop", Severity.NOTE, what, advice, intervals=stretches)
+    yield from _passed(context)
+    yield from _stalled(context, stops)
 
 
-def _stalled(context: CampaignContext, stops: Mapping[str, EndStop]) -> list[AuditFinding]:
+def _stalled(context: CampaignContext, stops: Mapping[str, EndStop]) -> Findings:
     """Find tests that come to stand before an end stop, where a smaller command moves the piston on."""
-    findings = []
     for direction, sign, tests in _driven(context):
         drives = [_drive(test.record, direction, sign) for test in tests]
         # The command must be on over all of the 0.6 s: an idle current that is above zero moves nothing. Near
@@ -299,29 +297,26 @@ def _stalled(context: CampaignContext, stops: Mapping[str, EndStop]) -> list[Aud
                 continue
             what = (
                 f"the piston stands at {sign * np.median(position):.5g} {test.quality.unit} under "
-                f"{command:.3g} {command_unit(test.record, direction)} of {direction}; less "
+                f"{command:.3g} {context.command_unit(direction)} of {direction}; less "
                 f"moves it on in {join_names(going_on)}"
             )
             advice = "check load, pressure and sensor; cut the interval out, or leave the test out"
             intervals = list(zip(starts.tolist(), ends.tolist(), strict=True))
-            findings.append(test.finding("stall", Severity.WARNING, what, advice, intervals=intervals))
-    return findings
+            yield test.finding("stall", Severity.WARNING, what, advice, intervals=intervals)
 
 
-def _passed(context: CampaignContext) -> list[AuditFinding]:
+def _passed(context: CampaignContext) -> Findings:
     """Find logs that pass an end stop that is said."""
     if context.campaign.end_stops is None:
-        return []
+        return
     low, high = context.campaign.end_stops
     margin = PASSED_FRACTION * (high - low)
-    return [
-        test.finding(
-            "end stop",
-            Severity.WARNING,
-            f"the piston goes from {test.quality.lowest:.5g} to {test.quality.highest:.5g} "
-            f"{test.quality.unit}, beyond end_stops = [{low:g}, {high:g}]",
-            "check end_stops and the displacement's unit in campaign.toml",
-        )
-        for test in context.tests
-        if test.quality.lowest < low - margin or test.quality.highest > high + margin
-    ]
+    advice = "check end_stops and the displacement's unit in campaign.toml"
+    for test in context.tests:
+        lowest, highest = test.quality.lowest, test.quality.highest
+        if lowest < low - margin or highest > high + margin:
+            what = (
+                f"the piston goes from {lowest:.5g} to {highest:.5g} {test.quality.unit}, "
+                f"beyond end_stops = [{low:g}, {high:g}]"
+            )
+            yield test.finding("end stop", Severity.WARNING, what, advice)

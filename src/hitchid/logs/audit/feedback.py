@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from hitchid._support.records import Severity, short_repr
-from hitchid.logs.audit.context import AuditFinding, CampaignContext
+from hitchid.logs.audit.context import CampaignContext, Findings
 from hitchid.logs.record import COMMAND, IDLE, LIFTING, LOWERING, RAMP, Record
 
 ORDER = 10  # samples; past values of each signal in a regression (chosen)
@@ -59,13 +59,12 @@ class Feedback(NamedTuple):
         )
 
 
-def feedback(context: CampaignContext) -> list[AuditFinding]:
+def feedback(context: CampaignContext) -> Findings:
     """Find logs recorded under feedback, in which the command depends on past displacement: a warning."""
     evidence = feedback_of(context.campaign.records)
-    if evidence is None:
-        return []
-    role = COMMAND[context.tests[0].record.directions[0]]
-    return [AuditFinding("feedback", Severity.WARNING, "", role, (), evidence.sentence, ADVICE)]
+    if evidence is not None:
+        role = COMMAND[context.directions[0]]
+        yield context.finding("feedback", Severity.WARNING, evidence.sentence, ADVICE, signal=role)
 
 
 def feedback_of(records: Iterable[Record]) -> Feedback | None:

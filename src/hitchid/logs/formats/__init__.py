@@ -39,7 +39,7 @@ class Format(NamedTuple):
 def _read_mdf(path: Path, selection: ChannelSelection) -> Content:
     """Read an MDF log of channels, or of a CAN bus where there are databases for it."""
     is_bus = selection.databases and can.is_bus_log(path)
-    return can.read_mf4(path, selection) if is_bus else mdf.read(path, selection)
+    return (can if is_bus else mdf).read(path, selection)
 
 
 BUILT_IN = (

@@ -12,7 +12,7 @@ import numpy as np
 from hitchid.errors import LogError
 from hitchid.logs.content import ChannelSelection, Content
 from hitchid.logs.formats.can_bus import read_bus as read_bus
-from hitchid.logs.formats.can_decoder import Frame, candump_frames, inventory
+from hitchid.logs.formats.can_decoder import Frame, candump_frames, count_frames
 from hitchid.logs.formats.can_decoder import is_candump as is_candump
 from hitchid.logs.formats.library import as_log_errors, import_optional
 from hitchid.logs.formats.mdf_values import open_mdf
@@ -28,11 +28,9 @@ FD_LENGTHS = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64])
 
 def read(path: Path, selection: ChannelSelection) -> Content:
     """Read the selected signals of a CAN log; `read_bus` describes their names."""
-    library = import_optional("can", "can", path)
     notices: list[str] = []
-    readers = {".blf": _read_blf, ".log": _read_candump}
-    frames = readers.get(path.suffix.lower(), _read_text)(path, library, notices)
-    content = read_bus(frames, path, selection)
+    readers = {".blf": _read_blf, ".log": _read_candump, ".mf4": _read_mf4, ".mdf": _read_mf4}
+    content = read_bus(readers.get(path.suffix.lower(), _read_text)(path, notices), path, selection)
     return replace(content, notices=(*notices, *content.notices))
 
 
@@ -68,7 +66,8 @@ class _AscText:
                 yield line
 
 
-def _read_text(path: Path, library: Any, notices: list[str]) -> Iterator[Frame]:
+def _read_text(path: Path, notices: list[str]) -> Iterator[Frame]:
+    library = import_optional("can", "can", path)
     text, is_asc = _AscText(notices=notices), path.suffix.lower() != ".trc"
     try:
         # Latin-1 decodes any byte; names and comments, which may hold others, are not used.
@@ -94,15 +93,16 @@ def _read_text(path: Path, library: Any, notices: list[str]) -> Iterator[Frame]:
         notices.append("the log has no 'End TriggerBlock': it may be incomplete")
 
 
-def _read_candump(path: Path, _: Any, notices: list[str]) -> Iterator[Frame]:
+def _read_candump(path: Path, notices: list[str]) -> Iterator[Frame]:
     with as_log_errors(path, KIND), path.open(encoding="latin-1") as stream:
         yield from candump_frames(stream, notices)
 
 
-def _read_blf(path: Path, library: Any, notices: list[str]) -> Iterator[Frame]:
+def _read_blf(path: Path, notices: list[str]) -> Iterator[Frame]:
+    library = import_optional("can", "can", path)
     with as_log_errors(path, KIND):
-        log_inventory = inventory(path)
-        if not log_inventory.closed:
+        expected_count, is_closed = count_frames(path)
+        if not is_closed:
             notices.append("the log was never closed: it may be incomplete")
         frame_count = 0
         with library.BLFReader(path) as reader:
@@ -111,8 +111,8 @@ def _read_blf(path: Path, library: Any, notices: list[str]) -> Iterator[Frame]:
             for message in reader:
                 frame_count += 1
                 yield _to_frame(message)
-        if frame_count != log_inventory.frame_count:
-            problem = f"{frame_count} of its {log_inventory.frame_count} frames can be read"
+        if frame_count != expected_count:
+            problem = f"{frame_count} of its {expected_count} frames can be read"
             raise LogError(path, f"cannot be read as {KIND}: {problem}")
 
 
@@ -139,15 +139,8 @@ def is_bus_log(path: Path) -> bool:
         )
 
 
-def read_mf4(path: Path, selection: ChannelSelection) -> Content:
-    """Read the selected signals of a CAN bus log in MF4; `read_bus` describes their names."""
+def _read_mf4(path: Path, notices: list[str]) -> Iterator[Frame]:
     asammdf = import_optional("asammdf", "mdf", path)
-    notices: list[str] = []
-    content = read_bus(_read_frames(path, asammdf, notices), path, selection)
-    return replace(content, notices=(*notices, *content.notices))
-
-
-def _read_frames(path: Path, asammdf: Any, notices: list[str]) -> Iterator[Frame]:
     with as_log_errors(path, MF4_KIND), open_mdf(path, asammdf, notices) as log:
         frames_by_group = [_group_frames(path, log, index) for index in range(len(log.groups))]
     # One message may have frames in several groups, received and sent.

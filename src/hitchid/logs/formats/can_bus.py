@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -28,12 +27,7 @@ from hitchid.logs.formats.can_decoder import (
     raw_numbers,
 )
 
-
-class _SignalLocation(NamedTuple):
-    """Stream and signal of one channel."""
-
-    stream: Stream
-    signal: CanSignal
+Location = tuple[Stream, CanSignal]  # where the samples of a channel are
 
 
 def read_bus(frames: Iterable[Frame], source: Path, selection: ChannelSelection) -> Content:
@@ -74,18 +68,18 @@ def read_bus(frames: Iterable[Frame], source: Path, selection: ChannelSelection)
     return Content(source, channels, (*databases.notices, *notices))
 
 
-def _channel_names(streams: Sequence[Stream]) -> tuple[dict[str, _SignalLocation], dict[str, list[str]]]:
+def _channel_names(streams: Sequence[Stream]) -> tuple[dict[str, Location], dict[str, list[str]]]:
     """Return full name to location, and every alias to the full names it may stand for."""
     buses = Counter(name for name, _ in {(stream.message.name, stream.bus) for stream in streams})
     nodes = Counter(name for name, _ in {(stream.message.name, stream.node) for stream in streams})
-    locations: dict[str, _SignalLocation] = {}
+    locations: dict[str, Location] = {}
     aliases: dict[str, list[str]] = {}
     for stream in streams:
         name = stream.message.name
         bus_suffix, node_suffix = f"@can{stream.bus}", "" if stream.node is None else f"@{stream.node:#04x}"
         full_name = name + (bus_suffix if buses[name] > 1 else "") + (node_suffix if nodes[name] > 1 else "")
         for signal in stream.message.signals:
-            locations[f"{full_name}/{signal.name}"] = _SignalLocation(stream, signal)
+            locations[f"{full_name}/{signal.name}"] = stream, signal
             for alias in {name, name + bus_suffix, name + node_suffix, name + bus_suffix + node_suffix}:
                 aliases.setdefault(f"{alias}/{signal.name}", []).append(f"{full_name}/{signal.name}")
     return locations, aliases
@@ -148,11 +142,11 @@ def _check_not_in_log(
 
 
 def _channels(
-    source: Path, first_s: float, locations: Mapping[str, _SignalLocation], *, required: bool
+    source: Path, first_s: float, locations: Mapping[str, Location], *, required: bool
 ) -> tuple[dict[str, LogChannel], list[str]]:
     """Return channels and notices; a channel without a valid sample is an error if `required`."""
     channels: dict[str, LogChannel] = {}
-    streams = {id(location.stream): location.stream for location in locations.values()}
+    streams = {id(stream): stream for stream, _ in locations.values()}
     notices, empty = list(_stream_notices(streams.values())), []
     stamps_s, payloads = {}, {}
     for key, stream in streams.items():
@@ -161,8 +155,7 @@ def _channels(
         all_bytes = b"".join(data[:length] for _, data in stream.frames)
         payloads[key] = np.frombuffer(all_bytes, dtype=np.uint8).reshape(len(stream.frames), length)
     clocks: dict[tuple[int, bytes], np.ndarray] = {}
-    for requested, location in locations.items():
-        stream, signal = location
+    for requested, (stream, signal) in locations.items():
         payload, clock_s = payloads[id(stream)], stamps_s[id(stream)]
         present = frames_with_signal(payload, signal, stream.message)
         raw = raw_numbers(payload, signal)
@@ -173,7 +166,7 @@ def _channels(
         unavailable_count = present_count - int(present.sum())
         if not values.size:
             if required:
-                raise LogError(source, _empty_reason(location, unavailable_count), column=requested)
+                raise LogError(source, _empty_reason(stream, unavailable_count), column=requested)
             empty.append(requested)
             continue
         if unavailable_count:
@@ -204,9 +197,9 @@ def _stream_notices(streams: Iterable[Stream]) -> Iterator[str]:
             )
 
 
-def _empty_reason(location: _SignalLocation, unavailable_count: int) -> str:
+def _empty_reason(stream: Stream, unavailable_count: int) -> str:
     if unavailable_count:
         return f"all {unavailable_count} samples are 'not available' or 'error' in J1939"
-    if location.stream.frames:
+    if stream.frames:
         return "no frame contains it: its multiplexer never selects it"
-    return f"all frames of its message are shorter than {location.stream.message.length} bytes"
+    return f"all frames of its message are shorter than {stream.message.length} bytes"

@@ -30,15 +30,14 @@ CONTAINER_KIND, UNCOMPRESSED, DEFLATED = 10, 0, 2  # kind of object; compression
 FRAME_KINDS = frozenset((1, 86, 100, 101, 73))
 
 
-class Inventory(NamedTuple):
-    """Frames of a BLF log, error frames included, and whether it was closed: else no missing end is seen."""
+def count_frames(path: Path) -> tuple[int, bool]:
+    """Return the number of frames of a BLF log, error frames included, and whether it was closed.
 
-    frame_count: int
-    closed: bool
+    Of a log that was not, no missing end is seen.
 
-
-def inventory(path: Path) -> Inventory:
-    """Count the frames of a BLF log and check its structure."""
+    Raises:
+        LogError: the log is damaged or cut.
+    """
     size = path.stat().st_size
     with path.open("rb") as stream:
         start = stream.read(HEADER.size)
@@ -56,7 +55,7 @@ def inventory(path: Path) -> Inventory:
                 count += container_count
         if rest.strip(b"\0"):
             raise LogError(path, "is truncated: it ends within a frame")
-    return Inventory(count, closed=size - stated_size < PADDING)
+    return count, size - stated_size < PADDING
 
 
 def _iterate_objects(path: Path, stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
@@ -203,8 +202,16 @@ class Frame(NamedTuple):
 
 @dataclass
 class Stream:
-    """The frames one node sends of one message on one bus; `node` and `j1939_assumed` as `MessageMatch` has
-    them."""
+    """The frames one node sends of one message on one bus.
+
+    Attributes:
+        message: the message.
+        bus: number of the bus.
+        node: the sending node by J1939; None for any other message.
+        j1939_assumed: whether J1939 is only assumed.
+        frames: stamp and bytes of each.
+        short_count: number of frames with less bytes than the message has.
+    """
 
     message: CanMessage
     bus: int
@@ -214,16 +221,10 @@ class Stream:
     short_count: int = 0
 
 
-class MessageMatch(NamedTuple):
-    """A possible message of an id, the sending node by J1939, and whether J1939 is only assumed."""
-
-    message: CanMessage
-    node: int | None
-    j1939_assumed: bool
-
-
-def _message_matcher(messages: Sequence[CanMessage]) -> Callable[[int, bool], list[MessageMatch]]:
-    """Return a function from an id to its possible messages."""
+def _message_matcher(
+    messages: Sequence[CanMessage],
+) -> Callable[[int, bool], list[tuple[CanMessage, int | None, bool]]]:
+    """Return a function from an id to its possible messages, each with `node` and `j1939_assumed`."""
     exact: dict[tuple[int, bool], list[CanMessage]] = {}
     groups: dict[tuple[int, bool], list[CanMessage]] = {}
     for message in messages:
@@ -232,13 +233,15 @@ def _message_matcher(messages: Sequence[CanMessage]) -> Callable[[int, bool], li
         if message.is_j1939 or message.maybe_j1939:
             groups.setdefault((parameter_group(message.identifier), message.maybe_j1939), []).append(message)
 
-    def matches(identifier: int, extended: bool) -> list[MessageMatch]:
-        candidates = [MessageMatch(message, None, False) for message in exact.get((identifier, extended), [])]
+    def matches(identifier: int, extended: bool) -> list[tuple[CanMessage, int | None, bool]]:
+        candidates: list[tuple[CanMessage, int | None, bool]] = [
+            (message, None, False) for message in exact.get((identifier, extended), [])
+        ]
         if extended:
             for maybe_j1939 in (False, True):
                 group = groups.get((parameter_group(identifier), maybe_j1939), [])
                 candidates += [
-                    MessageMatch(message, node(identifier), maybe_j1939)
+                    (message, node(identifier), maybe_j1939)
                     for message in _messages_of_node(group, node(identifier))
                     if not (maybe_j1939 and message.identifier == identifier)
                 ]
