@@ -58,6 +58,7 @@ def windows(logs: Sequence[Content], names: Sequence[str]) -> Windows:
         # Rare channels, such as a command logged on change, hold; they do not decide the windows.
         dense = [name for name in names if steps[name] <= MAX_STEP_RATIO * min(steps.values())]
         width = max(WINDOW_S, WINDOW_SAMPLES * max(steps[name] for name in dense))
+        # Where a channel has no sample yet, its hold is not known; after its last one it goes on.
         begin = max(float(times[name][0]) for name in names)
         end = min(float(times[name][-1]) for name in dense)
         edges = begin + width * np.arange(int((end - begin) / width) + 1)

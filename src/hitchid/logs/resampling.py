@@ -82,6 +82,7 @@ def unique_stamp_rows(time_s: np.ndarray, source: object, *, column: str, line_o
     if intervals.size and not np.any(intervals):
         problem = f"all {time_s.size} time stamps are {time_s[0]:g} s; expected increasing time stamps"
         raise LogError(source, problem, line=line_of(1), column=column)
+    # Of equal stamps the first row stands for all; its sample is chosen later, by kind of signal.
     rows = np.concatenate([[0], np.flatnonzero(intervals) + 1]) if time_s.size else np.arange(0)
     median = float(np.median(intervals[intervals > 0])) if intervals.size else SHORTEST_STEP_S
     longest = float(np.max(intervals, initial=median))
@@ -110,6 +111,7 @@ def spread_stamps(time_s: np.ndarray, position: np.ndarray) -> tuple[np.ndarray,
     step_s = float(time_s[rows[-1]] - time_s[rows[0]]) / float(rows[-1] - rows[0])
     even = np.round(time_s[rows[0]] + step_s * (np.arange(time_s.size) - rows[0]), 9)
     resolution_s = float(np.median(intervals[rows - 1]))
+    # A logger that repeats rows, or stamps events twice, has one sample a stamp and must not be spread.
     if np.mean(changed) < CHANGED_SHARE or np.max(np.abs(even - time_s)) > resolution_s + step_s:
         return None
     sentence = (
@@ -193,6 +195,7 @@ def _is_steady(time_s: np.ndarray, position: np.ndarray, row: int, tolerance: fl
 
 def uniform(stamps: np.ndarray, step_s: float) -> np.ndarray:
     """Return the instants of a uniform grid from the first stamp to the last, s, shape [M]."""
+    # The last stamp counts where rounding puts it just below a whole number of steps.
     count = int((stamps[-1] - stamps[0]) / step_s * (1 + 1e-12) + 1e-6) + 1
     return stamps[0] + step_s * np.arange(count)
 
@@ -204,6 +207,7 @@ def _section(time_s: np.ndarray, start: int, stop: int, median: float) -> LogSec
         sentence = f"split at {time_s[start]:g} s: a gap of {gap:.3g} s, {gap / median:.1f} sampling times"
         notices = (Notice(AFTER_GAP, sentence),)
     intervals = np.diff(stamps)
+    # Lost samples count as steps of the grid, so that one gap does not make the step too long.
     grid_indices = np.concatenate([[0], np.cumsum(np.maximum(1, np.rint(intervals / median)))])
     # The mean step, rounded to four digits where the drift stays below the grid tolerance.
     steps = int(grid_indices[-1])

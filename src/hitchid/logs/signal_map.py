@@ -66,6 +66,7 @@ EXPECTED: Mapping[str, str] = MappingProxyType(
 
 def describe_settings(error: ValidationError, model: type[BaseModel] | None = None) -> str:
     """Return the first error of a validation as one sentence that names the key."""
+    # The first alone: the others often follow from it.
     first = error.errors(include_url=False)[0]
     kind, location = first["type"], first["loc"]
     key = _truncated(".".join(map(str, location)) or "settings")
@@ -164,6 +165,7 @@ class SignalColumn(StrictSettings):
     @model_validator(mode="before")
     @classmethod
     def _from_name(cls, value: object) -> object:
+        # The short form, column = "stroke_mm", has its unit in the name.
         if isinstance(value, str):
             return {"column": value, "unit": unit_of_column(value)}
         return value
@@ -179,6 +181,7 @@ class SignalColumn(StrictSettings):
     @field_validator("scale")
     @classmethod
     def _not_zero(cls, scale: float | None) -> float | None:
+        # A signal of zeros would be refused much later, as one that never moves.
         if scale == 0:
             raise ValueError("expected a number other than zero (units per reading)")
         return scale
@@ -219,6 +222,7 @@ class SignalMap(StrictSettings):
             raise ValueError("expected either command or lifting_command and lowering_command, not both")
         if not (self.command or self.lifting_command or self.lowering_command):
             raise ValueError("expected at least one of command, lifting_command, lowering_command")
+        # Signals and covariates share one mapping of the record: a covariate must not replace a signal.
         reserved = DIMENSIONS.keys() & {covariate.column for covariate in self.covariates}
         if reserved:
             raise ValueError(f"covariates: '{reserved.pop()}' is the name of a signal; rename the column")
@@ -249,6 +253,7 @@ def command_columns(directions: Iterable[str], units: Mapping[str, str]) -> dict
     columns = {}
     for role in (COMMAND[direction] for direction in directions):
         default, unit = getattr(DEFAULT_SIGNALS, role), units[role]
+        # A log that is written must read back without a campaign.toml, or with one that names it.
         columns[role] = default if unit == default.unit else SignalColumn(column=f"{role}_{unit}", unit=unit)
     return columns
 

@@ -107,6 +107,7 @@ def audit(campaign: Campaign) -> tuple[AuditFinding, ...]:
         for check in DIRECTION_CHECKS:
             for direction in context.directions:
                 findings += check(context, direction)
+    # A finding on the whole campaign comes before those on its records.
     order = {record.name: rank for rank, record in enumerate(campaign.records)}
     severities = {severity: rank for rank, severity in enumerate(Severity)}
     # Four or more findings that differ only in record and numbers become one.
@@ -117,6 +118,7 @@ def audit(campaign: Campaign) -> tuple[AuditFinding, ...]:
     merged = []
     for (check, severity, signal, advice), group in alike.items():
         names = list(dict.fromkeys(finding.record for finding in group if finding.record))
+        # By the number of records: one log may have many findings of a kind.
         if len(names) < MIN_MERGED:
             merged += group
             continue

@@ -104,7 +104,9 @@ def _levels(context: RecordContext, direction: str) -> tuple[float, float, int] 
     if not active.any():
         return None
     command = np.abs(context.record.command(direction))
+    # Percentiles: a filter or a ramp at the change of a level passes through all levels between.
     low, high = np.percentile(command[active], COMMAND_PERCENTILES)
+    # In steps of a tenth of full scale: noise on a measured command is no change.
     command /= LEVEL_FRACTION * context.scales[direction]
     np.rint(command, out=command)
     return float(low), float(high), int(np.count_nonzero(command[1:] != command[:-1]))
@@ -268,12 +270,14 @@ def _trend(travels: np.ndarray, areas: np.ndarray, times: np.ndarray) -> tuple[f
     slope, offset = np.polyfit(means, speeds, 1) if varied else (0.0, 0.0)
     # With a dead zone above nine tenths of the smallest mean, rounding would dominate the gains.
     zone = min(max(0.0, -offset / slope), 0.9 * means.min()) if slope > 0 else 0.0
+    # Logarithms: a drift is a factor, whatever the command was.
     gains = np.log(speeds / (means - zone))
     order = np.arange(gains.size) / (gains.size - 1)
     regressors = np.stack([np.ones(gains.size), *([means / means.mean()] if varied else [])], axis=1)
     degrees_of_freedom = gains.size - 1 - regressors.shape[1] - (zone > 0)
     if degrees_of_freedom < 1 or not np.all(np.isfinite(gains)):
         return no_trend
+    # What the commands explain is taken out of both: order and command may be correlated.
     order_residual, gain_residual = _unexplained(order, regressors), _unexplained(gains, regressors)
     # Commands that rise with the order are collinear with it: no drift can be estimated.
     if float(order_residual @ order_residual) < MIN_UNEXPLAINED * float(np.sum((order - order.mean()) ** 2)):
@@ -283,6 +287,7 @@ def _trend(travels: np.ndarray, areas: np.ndarray, times: np.ndarray) -> tuple[f
     error = float(
         np.sqrt(fit_residual @ fit_residual / degrees_of_freedom / (order_residual @ order_residual))
     )
+    # A fit without scatter has no t-value: rounding alone would decide.
     if error <= ROUNDING:
         return float(np.expm1(slope)), 0.0 if abs(slope) > 1e3 * ROUNDING else 1.0
     return float(np.expm1(slope)), float(2 * stdtr(degrees_of_freedom, -abs(slope) / error))

@@ -44,6 +44,7 @@ def steps(context: RecordContext) -> Findings:
         )
         advice = "log every test with the same sampling time"
         yield context.finding("sampling", severity, what, advice, signal="")
+    # One reason is enough: the notice of a jittering clock names its gaps, too.
     if context.quality.jitter is not None:
         severity = Severity.WARNING if context.quality.jitter >= MUCH_JITTER else Severity.NOTE
         what = f"the clock jitters by {context.quality.jitter:.1%} of {step_s:g} s; the log was resampled"
@@ -110,6 +111,7 @@ def gaps(context: CampaignContext) -> Findings:
     The parts of a cut log are called log@1, log@2 and so on. A part begins in motion:
     a note; a warning if more than 5 % of the log's time is lost.
     """
+    # Reading names the parts of a cut log log@1, log@2: a user may call a log a@b as well.
     tests_by_log: dict[str, list[RecordContext]] = {}
     for test in context.tests:
         base, separator, number = test.record.name.rpartition("@")
@@ -161,6 +163,7 @@ def current_lag(context: RecordContext) -> Findings:
     record = context.record
     for role, unit in record.units.items():
         is_skipped = role in COMMAND.values() or role == DISPLACEMENT or role not in record.signals
+        # A slow ramp correlates with its current at any lag.
         if is_skipped or UNITS[unit].dimension != "current" or record.kind == RAMP:
             continue
         choices = {f"the {direction} command": (direction,) for direction in record.directions}
@@ -188,6 +191,7 @@ def _fit(context: RecordContext, directions: tuple[str, ...], role: str) -> tupl
     if not active.any():
         return None
     max_lag = round(min(LONGEST_LAG_S / context.record.step_s, MAX_LAGS))
+    # A long rest before the first command holds no lag, only samples.
     first = max(0, int(np.argmax(active)) - 2 * max_lag)
     window = slice(first, first + MAX_LAG_SAMPLES)
     return lag_of(
@@ -212,6 +216,7 @@ def lag_of(command: np.ndarray, current: np.ndarray, *, step_s: float) -> tuple[
         return None
     peak = int(np.argmax(fit))
     top = float(fit[peak])
+    # A largest value at the end of the range is no peak: the lag lies beyond it, or there is none.
     if not 0 < peak < fit.size - 1 or top < LEAST_CORRELATION:
         return None
     if top - float(max(fit[0], fit[-1])) < LEAST_SHARPNESS:
@@ -286,6 +291,7 @@ def _onset(context: RecordContext) -> int | None:
     for direction in record.directions:
         command = record.command(direction)
         changed = np.abs(command - command[0]) > CHANGED_FRACTION * context.scales[direction]
+        # A log that begins under command says nothing about what comes first.
         if context.active(direction)[0]:
             return None
         if changed.any():

@@ -42,6 +42,7 @@ def rest_level(runs: Sequence[CommandResponse]) -> float | None:
     and for 1 % of the time each, the displacement must move in opposite directions, and at it less than a
     fifth as fast as in either: this excludes a one-sided command with a frequent level.
     """
+    # All logs together: each of them may rest at another of its levels.
     commands = np.concatenate([run.command for run in runs])
     command_range = float(np.ptp(commands))
     if not 0 < command_range < np.inf:
@@ -68,6 +69,7 @@ def rest_level(runs: Sequence[CommandResponse]) -> float | None:
 
 def _most_frequent(samples: np.ndarray) -> tuple[float, float]:
     """Return the most frequent value (of noisy samples the median of the fullest bin) and its share."""
+    # An exact reading first: a bin of a histogram would move the zero by part of its width.
     values, counts = np.unique(samples, return_counts=True)
     most_frequent = int(np.argmax(counts))
     if counts[most_frequent] >= RESTING_FRACTION * samples.size:
@@ -86,6 +88,7 @@ def neutral(context: CampaignContext) -> Findings:
     """
     records = [test.record for test in context.tests]
     signed = [_signed(record) for record in records]
+    # Two commands that are on at once are no halves of one signed column.
     if any(command is None for command in signed):
         return
     runs = [
@@ -138,6 +141,7 @@ def signs(context: CampaignContext) -> Findings:
         travels = _travels(context, direction)
         if not travels:
             continue
+        # The median: one log with swapped columns must not turn the sign of all.
         middle = float(np.median([way for _, way in travels]))
         majority_sign[direction] = sign = 1 if middle >= 0 else -1
         typical = abs(middle)
@@ -223,6 +227,7 @@ def idle_commands(context: CampaignContext, direction: str) -> Findings:
     command is above 1 % of full scale: a bias or a sensor's offset.
     """
     scale, unit = context.scales[direction], context.command_unit(direction)
+    # In any log: one test that begins at zero shows that the offset is none.
     smallest = min(float(np.min(np.abs(test.record.command(direction)))) for test in context.tests)
     if not scale > 0:
         return

@@ -137,12 +137,6 @@ def quality(record: Record) -> Quality:
     With d²y = y[k+1] − 2 y[k] + y[k−1], the noise is σ² = (median|d²y| / 0.6745)² / 6 − q²/12: motion is
     smooth from sample to sample, white noise is not, and rounding to a step q adds q²/12. Filtered
     (coloured) noise is underestimated.
-
-    Args:
-        record: any record.
-
-    Returns:
-        Figures in the record's own units.
     """
     displacement = record.displacement
     with np.errstate(all="ignore"):
@@ -202,6 +196,7 @@ def _noise(displacement: np.ndarray, quantum: float | None) -> float:
     if quantum is None:
         return median / NORMAL_MEDIAN / SECOND_DIFFERENCE
     # The median of rounded values is itself rounded: values of one step are taken as uniform over it.
+    # A magnitude below half a step is rounded to zero: that level is half as wide.
     low, width = (median - quantum / 2, quantum) if median > quantum / 2 else (0.0, quantum / 2)
     below = float(np.mean(second_difference < median - quantum / 2))
     on = float(np.mean(np.abs(second_difference - median) < quantum / 2))
@@ -305,6 +300,7 @@ def campaign_context(campaign: Campaign) -> CampaignContext:
     """Return the context of a campaign with at least one record."""
     scales = full_scales(campaign.records)
     qualities = [quality(record) for record in campaign.records]
+    # Of all logs: what is coarse or noisy is so beside the whole stroke, not beside one short test.
     lowest = min(test_quality.lowest for test_quality in qualities)
     campaign_range = float(np.float64(max(test_quality.highest for test_quality in qualities)) - lowest)
     tests = tuple(
@@ -325,6 +321,7 @@ def travel(context: RecordContext, direction: str) -> float:
     for other in record.directions:
         if other != direction:
             only_active &= ~context.active(other)
+    # The command at a sample moves the piston until the next one.
     signs = np.sign(record.command(direction)[:-1])
     signs *= only_active[:-1]
     # Two scalar products need no array of differences.

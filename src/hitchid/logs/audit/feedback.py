@@ -84,6 +84,7 @@ def feedback_of(records: Iterable[Record]) -> Feedback | None:
     pairs = [pair for record in records if (pair := _innovations(record)) is not None]
     if not pairs:
         return None
+    # A standard error over few tests is hardly one: tests are then cut into parts.
     parts = -(-CLUSTERS // len(pairs))
     rows = np.concatenate([_correlations(*pair, parts) for pair in pairs])
     mean, error = rows.mean(axis=0), rows.std(axis=0, ddof=1) / np.sqrt(len(rows))
@@ -106,6 +107,7 @@ def _innovations(record: Record) -> tuple[np.ndarray, np.ndarray] | None:
         if direction in record.directions:
             command += sign * record.command(direction)
     window = slice(0, MAX_SAMPLES)
+    # Changes: position and a held command are as good as random walks, which always correlate.
     command_change, change = np.diff(command[window]), np.diff(record.displacement[window])
     if np.count_nonzero(command_change) < LEAST_CHANGED * command_change.size:
         return None

@@ -47,6 +47,7 @@ def quantisation(context: RecordContext) -> Findings:
         yield context.finding("quantisation", Severity.WARNING, what, advice)
     moving = context.any_active()[:-1]
     samples = int(np.count_nonzero(moving))
+    # Noise dithers the rounding: means of rounded samples are then right.
     if not samples or quality.noise > HIDDEN_NOISE * step:
         return
     motion = np.abs(np.diff(context.record.displacement))
@@ -126,6 +127,7 @@ def update_interval(record: Record, quality: Quality) -> float | None:
     changes = np.flatnonzero(steps)
     if changes.size <= FEWEST_HOPS:
         return None
+    # Percentiles: the piston may rest for long, and a sample may come early.
     shortest, middle, longest = np.percentile(np.diff(changes), [10, 50, 90])
     is_even = shortest > 1 and longest <= MAX_SPACING_RATIO * middle
     is_motion = np.median(np.abs(steps[changes])) >= HOP_STEPS * (quality.quantum or 0.0)
@@ -183,6 +185,7 @@ def jumps(context: RecordContext) -> Findings:
     neighbour_steps = np.abs(steps[np.clip(valid_neighbours, 0, steps.size - 1)])
     isolated = np.abs(steps[large]) > JUMP_FACTOR * neighbour_steps.max(axis=1)
     significant = np.abs(steps[large]) > JUMP_FRACTION * context.quality.peak_to_peak
+    # At the ends of a log half of the neighbours are missing that would show motion.
     inside = (large >= JUMP_AROUND) & (large < steps.size - JUMP_AROUND)
     jump_samples = large[isolated & significant & inside]
     if jump_samples.size == 0:

@@ -57,6 +57,7 @@ def stuck_sensors(context: CampaignContext) -> Findings:
     levels = [run.level for run in constant_runs]
     lowest = min(test.quality.lowest for test in context.tests)
     highest = max(test.quality.highest for test in context.tests)
+    # Twice at one extreme of all logs is no coincidence of a sensor that stuck.
     at_end = {level for level in (lowest, highest) if levels.count(level) >= 2}
     for test in context.tests:
         runs = [run for run in constant_runs if run.test is test]
@@ -105,6 +106,7 @@ def _constant_runs(context: RecordContext) -> list[_ConstantRun]:
         if strong.any():
             command = np.abs(context.record.command(direction))
             strong &= command >= STRONG * np.median(command[strong])
+        # Of the same log, so that its own load and oil count.
         speed = _speed(displacement, strong[:-1], repeated)
         for start, stop in stretches:
             level = float(displacement[start])
@@ -147,6 +149,7 @@ def _must_move(run: _ConstantRun, speed: float, strong: np.ndarray) -> bool:
     )
     if not abs(speed) * samples > required_travel:
         return False
+    # Noise that stops is proof enough; without noise only motion on both sides is.
     if not run.noiseless:
         return True
     displacement = run.test.record.displacement

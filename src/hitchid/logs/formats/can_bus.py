@@ -11,7 +11,6 @@ from hitchid.logs.content import ChannelSelection, Content, LogChannel, format_n
 from hitchid.logs.formats.can_database import (
     CanMessage,
     CanSignal,
-    Databases,
     node,
     parameter_group,
     read_databases,
@@ -46,18 +45,18 @@ def read_bus(frames: Iterable[Frame], source: Path, selection: ChannelSelection)
 
     Messages of several frames (J1939 transport protocol) are not reassembled.
     """
-    databases = read_databases(selection.databases, source)
+    messages, database_notices = read_databases(selection.databases, source)
     requested_names = {name.rpartition("/")[2] for name in (selection.time, *(selection.signals or ()))}
 
     def may_hold_requested(message: CanMessage) -> bool:
         return selection.signals is None or any(s.name in requested_names for s in message.signals)
 
     # The frames of all other messages, most of a busy bus, are counted and dropped.
-    traffic = collect_streams(frames, databases.messages, may_hold_requested)
+    traffic = collect_streams(frames, messages, may_hold_requested)
     if not traffic.frame_count:
         raise LogError(source, "holds no CAN frames with data")
     locations, aliases = _channel_names(traffic.streams)
-    matches = _match_requested(source, selection, aliases, databases, traffic, list(locations))
+    matches = _match_requested(source, selection, aliases, messages, traffic, list(locations))
     located = {requested: locations[name] for requested, name in matches.items()}
     required = selection.signals is not None
     channels, notices = _channels(source, traffic.first_s, located, required=required)
@@ -65,7 +64,7 @@ def read_bus(frames: Iterable[Frame], source: Path, selection: ChannelSelection)
         raise LogError(source, f"none of its {traffic.frame_count} frames holds a signal of the DBC files")
     if traffic.without_data:
         notices.insert(0, f"{traffic.without_data} error and remote frames are left out")
-    return Content(source, channels, (*databases.notices, *notices))
+    return Content(source, channels, (*database_notices, *notices))
 
 
 def _channel_names(streams: Sequence[Stream]) -> tuple[dict[str, Location], dict[str, list[str]]]:
@@ -89,7 +88,7 @@ def _match_requested(
     source: Path,
     selection: ChannelSelection,
     aliases: dict[str, list[str]],
-    databases: Databases,
+    messages: Sequence[CanMessage],
     traffic: BusTraffic,
     names: list[str],
 ) -> dict[str, str]:
@@ -106,7 +105,7 @@ def _match_requested(
         if candidates:
             matches[requested] = candidates[0]
         elif requested != selection.time and requested not in {name.rpartition("/")[2] for name in names}:
-            _check_not_in_log(source, requested, databases.messages, traffic)
+            _check_not_in_log(source, requested, messages, traffic)
     remaining = selection._replace(
         signals=tuple(requested for requested in selection.signals if requested not in matches)
     )

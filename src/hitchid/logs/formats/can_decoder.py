@@ -44,6 +44,7 @@ def count_frames(path: Path) -> tuple[int, bool]:
         if len(start) < HEADER.size or not start.startswith(b"LOGG"):
             raise LogError(path, "cannot be read as a CAN log: it does not start as a BLF file")
         _, header, stated_size = HEADER.unpack(start)
+        # The stated size is the only sign of a cut between two objects.
         if size < max(header, stated_size):
             raise LogError(path, f"is truncated: holds {size} of {max(header, stated_size)} bytes")
         stream.seek(header)
@@ -273,9 +274,11 @@ def collect_streams(
         if data is None:
             without_data += 1
             continue
+        # Times count from the first frame with data: no other is used.
         if not count:
             first_s = stamp_s
         count += 1
+        # Looked up once for each id: a log has millions of frames, a bus some hundred ids.
         targets = routes.get((bus, extended, identifier))
         if targets is None:
             matched = [

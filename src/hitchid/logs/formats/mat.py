@@ -28,7 +28,8 @@ from hitchid.logs.formats.library import (
 SUFFIXES = (".mat",)
 KIND = "a MATLAB file"
 
-LoadVariables = Callable[[Sequence[str]], Mapping[str, np.ndarray]]
+# Loads variables of plain numbers, all at once: each loading runs through the whole file.
+LoadVariables = Callable[[Sequence[str]], None]
 
 
 class Leaf(NamedTuple):
@@ -36,12 +37,12 @@ class Leaf(NamedTuple):
 
     Attributes:
         shape: its shape.
-        load: returns the numbers, given the loaded variables.
+        load: returns the numbers.
         variable: the variable that must be loaded first; None if there is none.
     """
 
     shape: tuple[int, ...]
-    load: Callable[[Mapping[str, np.ndarray]], np.ndarray]
+    load: Callable[[], np.ndarray]
     variable: str | None = None
 
 
@@ -57,25 +58,25 @@ class ChannelSource(NamedTuple):
 def read(path: Path, selection: ChannelSelection) -> Content:
     """Read the selected vectors of a MATLAB file; the time is optional where each signal has one."""
     with as_log_errors(path, KIND):
-        open_log = _open_73 if _is_hdf5(path) else _open_5
-        with open_log(path) as (tree, load_variables):
+        with path.open("rb") as stream:
+            head = stream.read(SIGNATURE_OFFSETS[-1] + len(SIGNATURE))
+        is_hdf5 = any(head[offset:].startswith(SIGNATURE) for offset in SIGNATURE_OFFSETS)
+        with (_open_73 if is_hdf5 else _open_5)(path) as (tree, load_variables):
             sources = channels_of(tree)
             clocked = {name for name, source in sources.items() if source.time}
             matches = match_clocked_channels(path, list(sources), selection, clocked)
             selected = {requested: sources[name] for requested, name in matches.items()}
             leaves = [leaf for c in selected.values() for leaf in (c.values, c.time) if leaf]
-            variables = load_variables([leaf.variable for leaf in leaves if leaf.variable])
-            channels = _channels(path, selected, variables, strict=selection.signals is not None)
+            load_variables([leaf.variable for leaf in leaves if leaf.variable])
+            channels = _channels(path, selected, strict=selection.signals is not None)
     return Content(path, channels)
 
 
-def _channels(
-    path: Path, selected: Mapping[str, ChannelSource], variables: Mapping[str, np.ndarray], *, strict: bool
-) -> dict[str, LogChannel]:
+def _channels(path: Path, selected: Mapping[str, ChannelSource], *, strict: bool) -> dict[str, LogChannel]:
     channels: dict[str, LogChannel] = {}
     clocks: dict[int, np.ndarray] = {}
     for requested, source in selected.items():
-        values = source.values.load(variables)
+        values = source.values.load()
         if values.dtype.kind not in "fiub":
             if strict:
                 raise LogError(path, "expected a real numeric vector", column=requested)
@@ -83,7 +84,7 @@ def _channels(
         clock_s = None
         if source.time is not None:
             if id(source.time) not in clocks:
-                clocks[id(source.time)] = to_seconds(floats(source.time.load(variables)), source.time_unit)
+                clocks[id(source.time)] = to_seconds(floats(source.time.load()), source.time_unit)
             clock_s = clocks[id(source.time)]
         channels[requested] = LogChannel(floats(values), source.unit, clock_s)
     return channels
@@ -98,6 +99,7 @@ def channels_of(tree: Mapping[str, object]) -> dict[str, ChannelSource]:
     Fields of structs are named `log/stroke`; signals of a ControlDesk export by their own name, those of a
     Simulink structure with time `out/label`; columns `data(:,2)`, where samples are along the longer side.
     """
+    # One export needs no prefix: signals keep the names they have in the model.
     exports = sum(_is_control_desk(node) for node in tree.values())
     pairs: list[tuple[str, ChannelSource]] = []
     for name, node in tree.items():
@@ -146,7 +148,7 @@ def _axis(axes: Sequence[Mapping[str, object]], index: object, data: Leaf) -> Ma
     matching = [
         number for number, axis in enumerate(axes, start=1) if _length(axis.get("Data")) == max(data.shape)
     ]
-    axis_number = int(np.ravel(index.load({}))[0]) if isinstance(index, Leaf) and _length(index) == 1 else 0
+    axis_number = int(np.ravel(index.load())[0]) if isinstance(index, Leaf) and _length(index) == 1 else 0
     if axis_number in matching:
         return axes[axis_number - 1]
     return axes[matching[0] - 1] if matching else {}
@@ -172,15 +174,8 @@ def _columns(name: str, leaf: Leaf) -> list[tuple[str, Leaf]]:
     if not is_matrix(leaf.shape):
         return []
     return [
-        (
-            column,
-            Leaf(
-                (max(leaf.shape),),
-                lambda variables, k=index: column_of(leaf.load(variables), k),
-                leaf.variable,
-            ),
-        )
-        for index, column in enumerate(column_names(name, leaf.shape))
+        (column, Leaf((max(leaf.shape),), lambda k=k: column_of(leaf.load(), k), leaf.variable))
+        for k, column in enumerate(column_names(name, leaf.shape))
     ]
 
 
@@ -221,14 +216,15 @@ def _open_5(path: Path) -> Iterator[tuple[Mapping[str, object], LoadVariables]]:
         _check_sizes(path)
         # Names that scipy adds begin with two underscores, which no name in MATLAB does.
         listing = [variable for variable in whosmat(path) if not variable[0].startswith("__")]
+    loaded: dict[str, np.ndarray] = {}
     structs = _load_variables(path, [name for name, _, kind in listing if kind == "struct"])
     tree: dict[str, object] = {}
     for name, shape, kind in listing:
         if kind in NUMERIC_CLASSES and (is_vector(shape) or is_matrix(shape)):
-            tree[name] = Leaf(tuple(shape), lambda variables, name=name: variables[name], name)
+            tree[name] = Leaf(tuple(shape), partial(loaded.__getitem__, name), name)
         elif kind == "struct":
             tree[name] = _node_5(structs[name])
-    yield tree, partial(_load_variables, path)
+    yield tree, lambda names: loaded.update(_load_variables(path, names))
 
 
 def _check_sizes(path: Path) -> None:
@@ -296,7 +292,7 @@ def _node_5(value: Any) -> object:
         return structs[0] if len(structs) == 1 else structs
     if value.dtype.kind == "U":
         return str(value[0]) if value.size == 1 else None
-    return Leaf(value.shape, lambda _: value) if value.dtype.kind in "fiub" else None
+    return Leaf(value.shape, lambda: value) if value.dtype.kind in "fiub" else None
 
 
 # Version 7.3: an HDF5 file, in which groups are structs.
@@ -307,19 +303,12 @@ MAX_DEPTH = 30  # nested structs; chosen
 NON_NUMERIC_CLASSES = ("char", "cell", "struct", "function_handle", "table", "string", "categorical")
 
 
-def _is_hdf5(path: Path) -> bool:
-    """Return whether a file is HDF5 inside."""
-    with path.open("rb") as stream:
-        head = stream.read(SIGNATURE_OFFSETS[-1] + len(SIGNATURE))
-    return any(head[offset:].startswith(SIGNATURE) for offset in SIGNATURE_OFFSETS)
-
-
 @contextmanager
 def _open_73(path: Path) -> Iterator[tuple[Mapping[str, object], LoadVariables]]:
     """Open a MATLAB 7.3 file: the tree of its content, whose leaves load themselves."""
     h5py = import_optional("h5py", "hdf5", path)
     with h5py.File(path, "r") as file:
-        yield _fields(_Reader(h5py, path), file, 0), lambda _: {}
+        yield _fields(_Reader(h5py, path), file, 0), lambda _: None
 
 
 class _Reader(NamedTuple):
@@ -373,9 +362,9 @@ def _array(reader: _Reader, item: Any, depth: int) -> object:
         return _Column([_node(reader, item.file[reference], depth + 1) for reference in item[()].ravel()])
     if item.dtype.kind in NUMERIC_KINDS and kind not in NON_NUMERIC_CLASSES:
         # MATLAB stores the transpose.
-        return Leaf(item.shape[::-1], lambda _: read_dataset(reader.path, item, item.name.lstrip("/")).T)
+        return Leaf(item.shape[::-1], lambda: read_dataset(reader.path, item, item.name.lstrip("/")).T)
     return None
 
 
 def _external_leaf(reader: _Reader, name: str) -> Leaf:
-    return Leaf((2,), lambda _: read_dataset(reader.path, None, name.lstrip("/")))
+    return Leaf((2,), lambda: read_dataset(reader.path, None, name.lstrip("/")))
