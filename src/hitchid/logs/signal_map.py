@@ -26,41 +26,29 @@ from hitchid.logs.units import UNITS, check_unit, unit_of_column
 # Errors of settings as sentences: the key, what was expected, what was found.
 
 MAX_SHOWN, MAX_PRINTED = 200, 10**100  # characters, largest integer in a message (chosen)
-EXPECTED: Mapping[str, str] = MappingProxyType(
-    {
-        "bool_parsing": "true or false",
-        "bool_type": "true or false",
-        "dataclass_type": "a table",
-        "dict_type": "a table",
-        "finite_number": "a finite number",
-        "float_parsing": "a number",
-        "float_type": "a number",
-        "frozen_set_type": "a list",
-        "greater_than": "a number above {gt:g}",
-        "greater_than_equal": "at least {ge:g}",
-        "int_from_float": "a whole number",
-        "int_parsing": "a whole number",
-        "int_parsing_size": "a smaller whole number",
-        "int_type": "a whole number",
-        "less_than": "a number below {lt:g}",
-        "less_than_equal": "at most {le:g}",
-        "list_type": "a list",
-        "json_invalid": "JSON of at most 200 levels",
-        "literal_error": "{expected}",
-        "mapping_type": "a table",
-        "missing": "a value",
-        "missing_argument": "a value",
-        "model_attributes_type": "a table",
-        "model_type": "a table",
-        "string_pattern_mismatch": "text like {pattern}",
-        "string_type": "text in quotes",
-        "too_long": "at most {max_length} entries",
-        "too_short": "at least {min_length} entries",
-        "tuple_type": "a list",
-        "union_tag_invalid": "{discriminator} to be one of {expected_tags}",
-        "union_tag_not_found": "the key {discriminator}",
-    }
-)
+ERRORS = {
+    "true or false": "bool_parsing bool_type",
+    "a table": "dataclass_type dict_type mapping_type model_attributes_type model_type",
+    "a list": "frozen_set_type list_type tuple_type",
+    "a number": "float_parsing float_type",
+    "a finite number": "finite_number",
+    "a whole number": "int_from_float int_parsing int_type",
+    "a smaller whole number": "int_parsing_size",
+    "a number above {gt:g}": "greater_than",
+    "a number below {lt:g}": "less_than",
+    "at least {ge:g}": "greater_than_equal",
+    "at most {le:g}": "less_than_equal",
+    "at least {min_length} entries": "too_short",
+    "at most {max_length} entries": "too_long",
+    "a value": "missing missing_argument",
+    "text in quotes": "string_type",
+    "text like {pattern}": "string_pattern_mismatch",
+    "{expected}": "literal_error",
+    "the key {discriminator}": "union_tag_not_found",
+    "{discriminator} to be one of {expected_tags}": "union_tag_invalid",
+    "JSON of at most 200 levels": "json_invalid",
+}
+EXPECTED = {error: text for text, errors in ERRORS.items() for error in errors.split()}
 """Type of a pydantic error to what was expected, with fields of its context."""
 
 

@@ -207,7 +207,7 @@ def _noise(displacement: np.ndarray, quantum: float | None) -> float:
 
 def fast_step(steps: np.ndarray) -> float:
     """Return the 99th percentile of the magnitude of one-step motions."""
-    # One of the samples itself: a value between two would hide how far apart motion and spikes are.
+    # One of the samples, not a value between two: the next larger one may be a spike.
     return float(np.quantile(np.abs(steps), FAST_FRACTION, method="lower"))
 
 
@@ -233,10 +233,7 @@ class RecordContext:
 
     def any_active(self) -> np.ndarray:
         """Return where any command is above 5 % of full scale, shape [N]."""
-        first, *rest = (self.active(direction) for direction in self.record.directions)
-        for other in rest:
-            first |= other
-        return first
+        return np.logical_or.reduce([self.active(direction) for direction in self.record.directions])
 
     def finding(
         self,

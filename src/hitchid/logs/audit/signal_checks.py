@@ -129,9 +129,9 @@ def _unchanged_share(context: RecordContext, repeated: np.ndarray, stretches: li
         for start, stop in stretches:
             resting[start:stop] = False
     resting_count = int(np.count_nonzero(resting))
-    return (
-        int(np.count_nonzero(repeated & resting)) / resting_count if resting_count >= FEWEST_AT_REST else 1.0
-    )
+    if resting_count < FEWEST_AT_REST:
+        return 1.0
+    return int(np.count_nonzero(repeated & resting)) / resting_count
 
 
 def _speed(displacement: np.ndarray, strong: np.ndarray, repeated: np.ndarray) -> float:

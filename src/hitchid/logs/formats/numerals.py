@@ -24,26 +24,26 @@ STAMP = re.compile(
     """,
     re.VERBOSE,
 )
-MONTHS = {
+MONTHS = {  # English and German
     name: month
     for month, names in enumerate(
-        (
+        [
             "jan",
             "feb",
-            "mar mär mrz",
+            "mar/mär/mrz",
             "apr",
-            "may mai",
+            "may/mai",
             "jun",
             "jul",
             "aug",
             "sep",
-            "oct okt",
+            "oct/okt",
             "nov",
-            "dec dez",
-        ),
+            "dec/dez",
+        ],
         start=1,
     )
-    for name in names.split()
+    for name in names.split("/")
 }
 NS = 10**9  # in a second; stamps are counted in whole ns until the first is subtracted
 DAY_S, HOUR_S = 86_400, 3_600
