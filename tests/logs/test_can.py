@@ -89,8 +89,8 @@ def hitch(plain):
 def layout(rng, name, bits):
     """Return a signal of a DBC that lies anywhere in a message of 8 bytes."""
     intel = rng.integers(2)
-    place = int(rng.integers(64 - bits + 1))
-    start = place if intel else 8 * (place // 8) + 7 - place % 8
+    first = int(rng.integers(64 - bits + 1))
+    start = first if intel else 8 * (first // 8) + 7 - first % 8
     scale, offset = rng.choice(["1", "2", "0.125", "-0.1", "1E-3"]), rng.choice(["0", "-40", "0.5"])
     return f'{name} : {start}|{bits}@{intel}{rng.choice(["+", "-"])} ({scale},{offset}) [0|0] "" ECU'
 

@@ -153,7 +153,7 @@ def spikes(context: RecordContext) -> Findings:
     is_spike &= remainder < RETURNED_FRACTION * height
     candidates = np.flatnonzero(is_spike)
     # The return of one spike is not the start of the next.
-    selected = [int(k) for place, k in enumerate(candidates) if place == 0 or candidates[place - 1] != k - 1]
+    selected = candidates[np.diff(candidates, prepend=-2) != 1].tolist()
     pairs = [(int(out[k]) + 1, int(back[k]) + 1) for k in selected]
     if not pairs:
         return
