@@ -247,7 +247,6 @@ def resample_to_common_clock(
     clocks, samples = {}, {}
     for role, channel in channels.items():
         clocks[role], samples[role] = _increasing(source, role, channel, names[role])
-    # The median: neither a gap nor a pair of close samples says how fast a channel is sampled.
     steps = {role: float(np.median(np.diff(clock))) for role, clock in clocks.items()}
     measured_step_s = steps.get(DISPLACEMENT, min(steps.values()))
     on_change = _logged_on_change(clocks, samples, measured_step_s)
@@ -263,7 +262,6 @@ def resample_to_common_clock(
     others = {role for role, clock in clocks.items() if not np.array_equal(clock, target)}
     if not others:
         return target, samples, []
-    # Instants are chosen, never invented: what remains was measured on the reference clock.
     mask = _common_instants(clocks, steps, reference, others, on_change)
     if not mask.any():
         raise LogError(source, "the time ranges of the channels do not overlap")
