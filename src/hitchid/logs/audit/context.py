@@ -254,7 +254,7 @@ class RecordContext:
         spans = tuple((round(a, 6), round(b, 6)) for a, b in times if isfinite(a) and isfinite(b))
         return AuditFinding(check, severity, self.record.name, signal, spans, what, advice)
 
-    def time_s(self, sample: int) -> float:
+    def time_s(self, sample: int | np.integer) -> float:
         """Return the time of a sample on the log's own clock, s."""
         return self.record.start_s + int(sample) * self.record.step_s
 
