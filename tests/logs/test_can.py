@@ -11,7 +11,7 @@ from can_logs import EXTENDED, PROTOCOL, frame, logged, marked, message, truth, 
 
 from hitchid.errors import LogError
 from hitchid.logs.formats import known_format
-from hitchid.logs.formats.can import is_bus_log, read, read_bus, read_mf4
+from hitchid.logs.formats.can import is_bus_log, read, read_bus
 from hitchid.logs.formats.can_database import CanSignal, parameter_group
 from hitchid.logs.formats.can_decoder import Frame, available
 
@@ -33,10 +33,6 @@ EEC1 = EXTENDED | 0x0CF004FE
 # Engine speed is SPN 190: bytes 4 and 5, 0.125 rpm a bit.
 SPEED = 'EngSpeed : 24|16@1+ (0.125,0) [0|0] "rpm" ECU'
 TORQUE = 'Torque : 16|8@1+ (1,-125) [0|0] "%" ECU'
-
-
-def read_any(path, selection):
-    return (read_mf4 if path.suffix == ".mf4" else read)(path, selection)
 
 
 def decode(frames, databases, *names):
@@ -93,8 +89,8 @@ def hitch(plain):
 def layout(rng, name, bits):
     """Return a signal of a DBC that lies anywhere in a message of 8 bytes."""
     intel = rng.integers(2)
-    place = int(rng.integers(64 - bits + 1))
-    start = place if intel else 8 * (place // 8) + 7 - place % 8
+    first = int(rng.integers(64 - bits + 1))
+    start = first if intel else 8 * (first // 8) + 7 - first % 8
     scale, offset = rng.choice(["1", "2", "0.125", "-0.1", "1E-3"]), rng.choice(["0", "-40", "0.5"])
     return f'{name} : {start}|{bits}@{intel}{rng.choice(["+", "-"])} ({scale},{offset}) [0|0] "" ECU'
 
@@ -135,7 +131,7 @@ def test_logs_of_every_kind_give_what_was_encoded(tmp_path, plain, hitch, kind):
     if kind.endswith(".gz"):
         path = tmp_path / "log.asc.gz"
         path.write_bytes(gzip.compress((tmp_path / "log.asc").read_bytes()))
-    content = read_any(path, wanted("Position", "Hitch/Pressure", "Current", "Count", databases=[plain]))
+    content = read(path, wanted("Position", "Hitch/Pressure", "Current", "Count", databases=[plain]))
     assert (content.source, content.notices, content.line_of(0)) == (path, (), None)
     assert list(content.channels) == ["Position", "Hitch/Pressure", "Current", "Count"]
     for name, channel in content.channels.items():
@@ -160,7 +156,7 @@ def test_frames_of_64_bytes_are_read(tmp_path, kind):
     database = write_dbc(tmp_path / "fd.dbc", message(7, "F", 'x : 480|16@1+ (1,0) [0|0] "" ECU', length=64))
     frames = [frame(0.01 * n, 7, bytes(60) + struct.pack("<HH", 1000 + n, 0)) for n in range(5)]
     path = logged(frames, tmp_path / f"log{kind}")
-    content = read_any(path, wanted("x", databases=[database]))
+    content = read(path, wanted("x", databases=[database]))
     np.testing.assert_array_equal(content.channels["x"].values, 1000 + np.arange(5))
 
 
@@ -366,14 +362,12 @@ def test_a_database_may_tell_nodes_apart_by_itself(tmp_path):
 def test_buses_are_told_apart(tmp_path, plain, kind):
     frames = [frame(0.01 * n, 0x200, [10 * bus + n] * 8, bus=bus) for n in range(5) for bus in (1, 2)]
     path = logged([*frames, frame(0.06, 0x123, bytes(8))], tmp_path / f"log{kind}")
-    channels = read_any(
-        path, wanted("Other@can1/Speed", "Other@can2/Speed", "Count", databases=[plain])
-    ).channels
+    channels = read(path, wanted("Other@can1/Speed", "Other@can2/Speed", "Count", databases=[plain])).channels
     for bus in (1, 2):
         np.testing.assert_array_equal(channels[f"Other@can{bus}/Speed"].values, 10 * bus + np.arange(5))
     for ambiguous in ("Speed", "Other/Speed"):
         with pytest.raises(LogError, match="Other@can1/Speed, Other@can2/Speed"):
-            read_any(path, wanted(ambiguous, databases=[plain]))
+            read(path, wanted(ambiguous, databases=[plain]))
 
 
 def test_buses_and_nodes_are_told_apart_together(j1939):
@@ -437,7 +431,7 @@ def test_error_frames_and_short_frames_are_counted(tmp_path, plain, kind):
     frames[2] = frames[2]._replace(data=bytes(5))
     frames.insert(1, Frame(0.005, 1, 0, True, None))
     path = logged(frames, tmp_path / f"log{kind}")
-    content = read_any(path, wanted("Count", databases=[plain]))
+    content = read(path, wanted("Count", databases=[plain]))
     np.testing.assert_array_equal(content.channels["Count"].values, [0, 1, 3, 4])
     assert content.notices == (
         "1 error and remote frames are left out",
@@ -672,7 +666,7 @@ def test_a_bus_log_may_miss_fields_and_stand_in_several_groups(tmp_path, plain):
             )
         )
         log.save(tmp_path / "log.mf4")
-    channel = read_mf4(tmp_path / "log.mf4", wanted("Speed", databases=[plain])).channels["Speed"]
+    channel = read(tmp_path / "log.mf4", wanted("Speed", databases=[plain])).channels["Speed"]
     np.testing.assert_array_equal(channel.values, np.arange(6))
     np.testing.assert_array_equal(channel.clock_s, np.arange(6))
 
@@ -692,6 +686,6 @@ def test_a_bus_log_may_keep_fields_as_channels(tmp_path, plain):
         log.append([Signal(values, stamps, name=f"CAN_DataFrame.{name}") for name, values in fields.items()])
         log.save(tmp_path / "log.mf4")
     assert is_bus_log(tmp_path / "log.mf4")
-    content = read_mf4(tmp_path / "log.mf4", wanted("Other@can2/Speed", databases=[plain]))
+    content = read(tmp_path / "log.mf4", wanted("Other@can2/Speed", databases=[plain]))
     np.testing.assert_array_equal(content.channels["Other@can2/Speed"].values, [0, 1, 3, 4, 5])
     assert content.notices == ("'Other': 1 of 6 frames are left out: shorter than 8 bytes",)

@@ -98,13 +98,6 @@ def test_no_command_takes_a_value_between_its_levels(roles):
     np.testing.assert_array_equal(up - down if roles == "command" else up, truth)
 
 
-def test_a_covariate_is_interpolated_as_the_displacement_is():
-    offset = FAST + 0.00037
-    table = merged({"x": (FAST, line(FAST)), "i": (SLOW, stepped(SLOW)), "p": (offset, line(offset))}, WITH_P)
-    assert_line(table)
-    np.testing.assert_allclose(table.signals["p"], line(table.time_s), rtol=0, atol=16 * EPS * 37)
-
-
 @pytest.mark.parametrize(("start", "stop"), [(0.0, 1.0), (0.2, 1.0), (0.0, 0.7), (0.2034, 0.7071), (-3, 9)])
 def test_only_the_time_that_all_channels_share_is_left(start, stop):
     fast = np.arange(round(start * 1000), round(stop * 1000)) / 1000
@@ -115,14 +108,6 @@ def test_only_the_time_that_all_channels_share_is_left(start, stop):
     assert table.time_s[-1] <= fast[-1] + 1e-9
     assert_line(table)
     np.testing.assert_array_equal(table.signals["lifting_command"], stepped(table.time_s))
-
-
-def test_three_clocks_share_what_all_of_them_cover():
-    x, i, p = FAST, SLOW + 0.2, np.arange(-0.1, 0.795, 0.002)
-    table = merged({"x": (x, line(x)), "i": (i, stepped(i)), "p": (p, line(p))}, WITH_P)
-    np.testing.assert_array_equal(table.time_s, i[i <= p[-1]])
-    assert table.time_s[-1] == i[59]
-    assert_line(table)
 
 
 @pytest.mark.parametrize("shared", [True, False])

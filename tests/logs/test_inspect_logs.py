@@ -138,8 +138,8 @@ def test_a_mixed_log_has_segments_and_durations(write_log):
     assert (mixed["kind"], single["kind"]) == ("cycle", "lifting")
     labels = ["hold", "lifting", "hold", "lowering", "hold"]
     assert mixed["segments"] == [
-        {"label": label, "start_s": 0.5 * place, "stop_s": 0.5 * (place + 1)}
-        for place, label in enumerate(labels)
+        {"label": label, "start_s": 0.5 * number, "stop_s": 0.5 * (number + 1)}
+        for number, label in enumerate(labels)
     ]
     assert mixed["durations_s"] == {"lifting": 0.5, "lowering": 0.5, "hold": 1.5}
     assert not {"segments", "durations_s"} & set(single)

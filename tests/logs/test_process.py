@@ -1,6 +1,5 @@
 """Readers that misbehave in the process that runs them: each costs a message, and the next log is read."""
 
-import json
 import os
 import subprocess
 import sys
@@ -307,14 +306,3 @@ def test_a_log_that_is_gone_or_a_folder_is_refused(reader, read, tmp_path):
         with pytest.raises(LogError, match=f"^{path}: "):
             reader.read(path, ALL)
     assert_next_is_read(read)
-
-
-def test_real_logs_come_as_the_reader_gives_them(log):
-    with ReaderProcess() as reader:
-        ours = reader.read(log, ALL)
-    theirs = hitchid.logs.format_of(log).read(log, ALL)
-    assert ours.channels.keys() == theirs.channels.keys()
-    for name, channel in theirs.channels.items():
-        assert ours.channels[name].values.tobytes() == channel.values.tobytes()
-        assert ours.channels[name].unit == channel.unit
-    assert json.dumps(ours.notices) == json.dumps(theirs.notices)

@@ -8,7 +8,6 @@ import pytest
 
 from hitchid.errors import InputError, LogError
 from hitchid.logs import ReaderProcess, find_logs, read, read_log, write_table
-from hitchid.logs.formats import record_name
 from hitchid.logs.log_table import MIN_SAMPLES
 from hitchid.logs.signal_map import DEFAULT_SIGNALS, CampaignFile, SignalColumn
 
@@ -91,21 +90,6 @@ def test_what_is_no_log_is_refused_by_its_path(tmp_path, name, said):
     with pytest.raises(InputError, match=said) as caught:
         find_logs(tmp_path / name)
     assert str(caught.value).startswith(f"{tmp_path / name}: ")
-
-
-@pytest.mark.parametrize(
-    ("file", "name"),
-    [
-        ("a.csv", "a"),
-        ("a.b.csv", "a.b"),
-        ("a.csv.gz", "a"),
-        ("A.CSV", "A"),
-        ("a[1].mat", "a[1]"),
-        (".csv", ""),
-    ],
-)
-def test_a_record_is_called_as_its_file_without_the_endings(tmp_path, file, name):
-    assert record_name(tmp_path / file) == name
 
 
 def test_equal_names_in_two_folders_get_the_folders_name(tmp_path):

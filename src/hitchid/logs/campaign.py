@@ -91,6 +91,7 @@ class Campaign(Value, Summarised):
             stops = (positions[0], positions[1])
         if not records:
             raise InputError("a campaign needs at least one record, got none")
+        # Median, range and full scale of what follows need at least one sample.
         if empty := [record.name for record in records if not len(record)]:
             raise InputError(f"record '{empty[0]}' holds no samples; expected at least one")
         names = [record.name for record in records]
@@ -99,6 +100,7 @@ class Campaign(Value, Summarised):
                 raise InputError(f"two records have the name '{name}'; names must differ")
         usable, excluded = unified(records, kinds or {}, strict=strict)
         all_left_out = (*left_out, *excluded)
+        # A pattern that matches nothing holds nothing out, and the accuracy would be that of used tests.
         for pattern in test_patterns or ():
             if not any(fnmatchcase(name, pattern) for name in (*names, *(item.name for item in left_out))):
                 raise InputError(
@@ -184,6 +186,7 @@ class Campaign(Value, Summarised):
                 rows = range(len(self))[key]
             except (TypeError, ValueError) as error:
                 raise InputError(f"campaign: expected a slice of whole numbers, got {key}") from error
+            # Always in the order of the campaign: the default split takes the last tests.
             chosen = tuple(self.records[row] for row in sorted(rows))
         else:
             names = checks.tuple_of(key, str, "campaign: key", "a number, a name, a slice or names")
@@ -225,6 +228,7 @@ class Campaign(Value, Summarised):
     def covariates(self) -> tuple[str, ...]:
         """Names of the further measured inputs that every record has."""
         standard_roles = {DISPLACEMENT, *COMMAND.values()}
+        # A model can use a covariate only if no test lacks it.
         first, *rest = (set(record.signals) - standard_roles for record in self.records)
         return tuple(sorted(first.intersection(*rest)))
 
@@ -236,6 +240,7 @@ class Campaign(Value, Summarised):
     @property
     def digest(self) -> str:
         """SHA-256 of names, kinds, clocks, units, samples, split and end stops."""
+        # A file name need not be UTF-8: surrogates stand for the bytes that are not.
         hasher = hashlib.sha256(repr(self.test_patterns).encode(errors="surrogateescape"))
         if self.end_stops is not None:
             hasher.update(repr(self.end_stops).encode())
@@ -265,6 +270,7 @@ class Campaign(Value, Summarised):
             return tuple(record for record in tests if _matches(record, self.test_patterns))
         if len(tests) < 2:
             return ()
+        # The last by name, not random ones: the same logs always give the same split.
         return tests[-max(1, round(HELD_OUT_FRACTION * len(tests))) :]
 
     def identification(self, direction: str) -> tuple[Record, ...]:
@@ -294,6 +300,7 @@ class Campaign(Value, Summarised):
             for number, stroke in enumerate(strokes(record, dead_zones), start=1):
                 name = f"{record.name}{STROKE_SEPARATOR}{number:03d}"
                 cut_records.append(record.slice(stroke.start, stroke.stop, name=name, kind=stroke.direction))
+        # Whoever held out a log did so as a whole: nothing may be identified from one of its strokes.
         held_out = self.held_out(CYCLE)
         patterns = tuple(f"{escape(record.name)}{STROKE_SEPARATOR}*" for record in held_out) or None
         return replace(self, records=tuple(cut_records), test_patterns=patterns)

@@ -131,8 +131,3 @@ class Content:
     channels: Mapping[str, LogChannel]
     notices: tuple[str, ...] = ()
     line_of: Callable[[int], int | None] = lambda _: None
-
-    @property
-    def map_place(self) -> str:
-        """Where the user writes the signal map, for messages."""
-        return "campaign.toml" if isinstance(self.source, Path) else "signals"

@@ -47,6 +47,7 @@ def record_from_dataframe(
     """Return the record of a table; see `Record.from_dataframe`."""
     checks.instance(name, str, "name", "text")
     records = _read_frame(name, _checked_frame(frame, "frame"), signals, _checked_units(units))
+    # One record was asked for: to choose the longest part in silence would lose data.
     if len(records) > 1:
         raise InputError(
             f"{name}: long gaps divide the table into {len(records)} sections, expected one; "
@@ -128,6 +129,7 @@ def _read_frame(
     """Return a record for each stretch of a table without a gap."""
     columns = [column for column in frame.columns if isinstance(column, str)]
     signals = _map_by_name(name, columns) if given is None else signal_map_of(given)
+    # A unit for a column that is not there is a misspelt name, whose column would be read without it.
     for column in units:
         if column not in columns and column != getattr(getattr(frame, "index", None), "name", None):
             problem = f"`units` names it, but there is no such column; found {', '.join(columns)}"
@@ -150,6 +152,7 @@ def _map_by_name(name: str, columns: Iterable[str]) -> SignalMap:
     for column in columns:
         unit = unit_of_column(column)
         signal = STEMS.get(column if unit is None else column.rpartition("_")[0])
+        # A guess between two columns would give a model of the wrong one.
         if signal in column_of:
             both = f"the columns '{column_of[signal]}' and '{column}' both match {signal}"
             raise LogError(name, f"{both}; expected `signals` to name one of them")
@@ -189,12 +192,14 @@ def _time(
 def _column(column: Any, name: str, label: str, unit: str | None) -> LogChannel:
     """Return a column as doubles in its unit: dates as seconds since the first, durations as seconds."""
     values = np.asarray(column.to_numpy())
+    # pandas returns a table for a name that several columns share.
     if values.ndim != 1:
         raise LogError(name, "several columns have this name", column=label)
     if values.dtype.kind == "c":
         raise LogError(name, "expected real numbers, got complex ones", column=label)
     if values.dtype.kind in "Mm":
         valid = np.flatnonzero(~np.isnat(values))
+        # Dates count from the first, a double cannot hold ns since 1970; durations have a zero of their own.
         zero = values[valid[0]] if values.dtype.kind == "M" and valid.size else np.timedelta64(0, "ns")
         return LogChannel((values - zero) / np.timedelta64(1, "s"), "s")
     if values.dtype.kind == "O" and values.size and all(isinstance(item, datetime) for item in values):

@@ -31,6 +31,7 @@ def from_rest(campaign: Campaign, otherwise: str = "") -> tuple[Campaign, tuple[
     """
     parts = [(record.name, record) for record in campaign.records]
     usable, in_motion = split_usable(parts, _from_rest, strict=campaign.strict)
+    # By name, so that the campaign keeps its order, which the default split depends on.
     rested = {record.name: record for record in usable}
     # A ramp in motion shows no dead zone, for which tests do instead; a cycle is for want of both directions.
     wanted = {LIFTING, LOWERING} if rested else {LIFTING, LOWERING, CYCLE}
@@ -50,6 +51,7 @@ def from_rest(campaign: Campaign, otherwise: str = "") -> tuple[Campaign, tuple[
 
 def _from_rest(record: Record) -> Record:
     """Return a part after a gap from its first stroke after a rest or a turn on; others as they are."""
+    # By the notices: nothing else tells a part after a gap from a log that begins in motion.
     codes = {notice.code for notice in record.notices}
     starts = [stroke.start for stroke in strokes(record, {})]
     if AFTER_GAP not in codes or FROM_REST in codes or not starts:

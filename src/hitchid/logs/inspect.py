@@ -176,6 +176,7 @@ def inspect(
     )
     if not records:
         return Inspection(faults=faults)
+    # Each log may be fine and no two of them fit together: then they are listed all the same.
     try:
         campaign = assemble(records, settings, unread, strict=strict)
     except HitchError as error:
@@ -186,16 +187,13 @@ def inspect(
 
 
 def inspect_campaign(campaign: Campaign, command_thresholds: ThresholdLookup | None = None) -> Inspection:
-    """Inspect the logs of a campaign.
-
-    Args:
-        campaign: the tests.
-        command_thresholds: as for `inspect`.
+    """Inspect the logs of a campaign; `command_thresholds` as for `inspect`.
 
     Raises:
         InputError: the commands of model and logs differ in dimension.
     """
     held_out = {record.name for direction in DIRECTIONS for record in campaign.held_out(direction)}
+    # Of all logs: 5 % of the largest command of one idle log would be noise.
     scales = full_scales(campaign.records)
     thresholds = None if command_thresholds is None else command_thresholds(campaign.units)
     return Inspection(

@@ -70,6 +70,7 @@ def detect_kind(record: Record, scales: Mapping[str, float]) -> str:
     command, is_active = record.command(direction), record.command(direction) > thresholds[direction]
     onset = int(np.flatnonzero(is_active)[0]) if np.any(is_active) else command.size
     rise = command[onset : int(np.argmax(command)) + 1]
+    # A faster rise excites the dynamics; one from a high level begins behind the dead zone.
     if rise.size * record.step_s < RAMP_SHORTEST_S or rise[0] > 0.25 * rise[-1]:
         return direction
     correlation = float(np.corrcoef(np.arange(rise.size), rise)[0, 1])
@@ -129,10 +130,12 @@ def strokes(record: Record, dead_zones: Mapping[str, float]) -> list[Stroke]:
     rest = max(1, round(REST_S / record.step_s))
     lead = round(LEAD_IN_S / record.step_s)
     shortest = max(SHORTEST_STROKE_S / record.step_s, SHORTEST_STROKE_SAMPLES)
+    # The first active sample has no predecessor: as if the record came after a rest.
     after_rest = np.diff(active_samples, prepend=-rest - 1) > rest
     after_reversal = np.diff(signs[active_samples], prepend=signs[active_samples[0]]) != 0
     is_start = after_rest | after_reversal
     onsets = active_samples[is_start]
+    # At a reversal the lead would belong to the other direction.
     lead_ins = np.where(after_rest[is_start], lead, 0)
     starts = [max(0, int(onset) - int(lead_in)) for onset, lead_in in zip(onsets, lead_ins, strict=True)]
     valid_strokes = []
@@ -214,6 +217,7 @@ def segments(
     start, stop = np.maximum(samples - half, 0), np.minimum(samples + half, len(record) - 1)
     travel = np.abs(displacement[stop] - displacement[start]) * 2 * half / np.maximum(stop - start, 1)
     lowest, highest = displacement.min(), displacement.max()
+    # Of this record alone: stops of a whole campaign are found in the audit, which sees all logs.
     margin = AT_END_FRACTION * float(np.ptp(displacement))
     for direction in active:
         selected = label == LABELS.index(direction)
@@ -224,6 +228,7 @@ def segments(
         is_upwards = float(np.diff(displacement, append=displacement[-1])[selected].sum()) >= 0
         at_end = displacement >= highest - margin if is_upwards else displacement <= lowest + margin
         command = np.abs(record.command(direction))
+        # A switched command is at its largest level half of the time without being limited.
         if np.unique(command).size >= MIN_COMMAND_VALUES:
             clipped = _sustained(command >= scale_of[direction] * (1 - 1e-9), CLIPPED_SAMPLES)
             label[selected & clipped] = LABELS.index(SATURATED)

@@ -77,6 +77,7 @@ def table_of(content: Content, signals: SignalMap) -> LogTable:
     Raises:
         LogError: a unit is missing or contradictory, a channel holds no number, or the clocks do not overlap.
     """
+    # First of all: every step that follows takes stamps for finite numbers.
     content = _with_stamps(content, signals.time.column)
     source, line_of = content.source, content.line_of
     channels, names, notices = {}, {}, list(content.notices)
@@ -86,6 +87,7 @@ def table_of(content: Content, signals: SignalMap) -> LogTable:
         notices += unit_notices
     time = channels.pop(TIME, None)
     displacement = channels[DISPLACEMENT].values if DISPLACEMENT in channels else np.zeros(0)
+    # Before rows with one stamp are dropped, since here each of them is a sample of its own.
     if time is not None and time.values.size == displacement.size:
         spread = spread_stamps(time.values, displacement)
         if spread is not None:
@@ -132,6 +134,7 @@ def _with_stamps(content: Content, time: str) -> Content:
             values=channel.values[rows], clock_s=None if channel.clock_s is None else channel.clock_s[rows]
         )
         for name, channel in content.channels.items()
+        # A vector of another length, such as a table of parameters, has no rows of the time.
         if channel.values.size == stamps.size
     }
     first = sample_or_line(int(np.argmin(np.isfinite(stamps))), content.line_of)
@@ -155,10 +158,10 @@ def _columns_by_role(signals: SignalMap, content: Content) -> dict[str, SignalCo
     """Return role to column, the time only where the log has such a channel."""
     time = signals.time if signals.time.column in content.channels else None
     if time is None and signals.time.column != DEFAULT_SIGNALS.time.column:
+        # A misspelt name must not fall back to the channels' own clocks in silence.
         problem = (
-            "there is no such channel, and none is needed, because every channel has its "
-            "own clock: remove this line from campaign.toml, or name an existing channel "
-            "as time"
+            "there is no such channel, and none is needed, because every channel has its own clock: "
+            "remove this line from campaign.toml, or name an existing channel as time"
         )
         raise LogError(content.source, problem, column=signals.time.column)
     columns = {
@@ -175,38 +178,43 @@ def _columns_by_role(signals: SignalMap, content: Content) -> dict[str, SignalCo
 def _convert_unit(content: Content, role: str, column: SignalColumn) -> tuple[LogChannel, list[str]]:
     """Return a channel as (reading − zero) · scale in the unit of the signal map, and the notices."""
     name, source = column.column, content.source
-    channel = content.channels[name]
+    channel, name_unit = content.channels[name], unit_of_column(name)
     file_unit = parse_unit(channel.unit or "")
-    declared_unit = column.unit or file_unit or unit_of_column(name) or (None if role in DIMENSIONS else "1")
+    declared_unit = column.unit or file_unit or name_unit or (None if role in DIMENSIONS else "1")
     if declared_unit is None:
-        problem = (
-            "no unit in its name or in the log; "
-            f'give one in {content.map_place}: {{ column = "{name}", unit = "…" }}'
+        where = "campaign.toml" if isinstance(source, Path) else "signals"
+        entry = f'{{ column = "{name}", unit = "…" }}'
+        raise LogError(
+            source, f"no unit in its name or in the log; give one in {where}: {entry}", column=name
         )
-        raise LogError(source, problem, column=name)
     dimension, dimensions = UNITS[declared_unit].dimension, DIMENSIONS.get(role)
     if dimensions and dimension not in dimensions:
+        expected = f"expected one of {', '.join(dimensions)} for {role}"
+        raise LogError(source, f"'{declared_unit}' is a unit of {dimension}, {expected}", column=name)
+    unit, notices = "s" if role == TIME else declared_unit, []
+    if column.scale is not None:
+        # The scale replaces the unit of the file: a sensor in V may measure mm.
+        if file_unit not in (None, declared_unit):
+            notices.append(f"{name}: scaled to {declared_unit}; the unit in the log is {file_unit}")
+        factor = column.scale * UNITS[declared_unit].factor / UNITS[unit].factor
+        return channel._replace(values=(channel.values - column.zero) * factor, unit=unit), notices
+    # Otherwise name, file and signal map must agree: nobody knows which of them is wrong.
+    if file_unit and name_unit not in (None, file_unit) and UNITS[name_unit].dimension == dimension:
         problem = (
-            f"'{declared_unit}' is a unit of {dimension}, expected one of {', '.join(dimensions)} for {role}"
+            f"the unit is '{name_unit}' in the name but '{file_unit}' in the log; expected the same unit"
         )
         raise LogError(source, problem, column=name)
-    unit = "s" if role == TIME else declared_unit
-    if column.scale is not None:
-        # The scale replaces the unit of the file.
-        factor = column.scale * UNITS[declared_unit].factor / UNITS[unit].factor
-        notices = (
-            []
-            if file_unit in (None, declared_unit)
-            else [f"{name}: scaled to {declared_unit}; the unit in the log is {file_unit}"]
+    if file_unit and UNITS[file_unit].dimension != dimension:
+        problem = (
+            f"the unit is '{file_unit}' in the log but '{declared_unit}' in the signal map; "
+            "expected units of the same quantity"
         )
-        return channel._replace(values=(channel.values - column.zero) * factor, unit=unit), notices
-    _check_file_unit(source, name, declared_unit, file_unit)
-    notices = []
+        raise LogError(source, problem, column=name)
     if channel.unit and file_unit is None:
         notices.append(f"{name}: the unit '{channel.unit}' in the log is not known; read as {declared_unit}")
     elif file_unit not in (None, declared_unit):
         notices.append(f"{name}: converted from {file_unit}, the unit in the log, to {declared_unit}")
-    elif file_unit is None and unit_of_column(name) not in (None, declared_unit):
+    elif file_unit is None and name_unit not in (None, declared_unit):
         notices.append(
             f"{name}: read as {declared_unit}, the unit in the signal map, although the name has another unit"
         )
@@ -215,25 +223,6 @@ def _convert_unit(content: Content, role: str, column: SignalColumn) -> tuple[Lo
     if source_unit != unit:
         values = values * (UNITS[source_unit].factor / UNITS[unit].factor)
     return channel._replace(values=values, unit=unit), notices
-
-
-def _check_file_unit(source: Path | str, name: str, declared_unit: str, file_unit: str | None) -> None:
-    """Refuse a unit of the file that contradicts the column's name or the signal map."""
-    if file_unit is None:
-        return
-    dimension = UNITS[declared_unit].dimension
-    name_unit = unit_of_column(name)
-    if name_unit not in (None, file_unit) and UNITS[name_unit].dimension == dimension:
-        problem = (
-            f"the unit is '{name_unit}' in the name but '{file_unit}' in the log; expected the same unit"
-        )
-        raise LogError(source, problem, column=name)
-    if UNITS[file_unit].dimension != dimension:
-        problem = (
-            f"the unit is '{file_unit}' in the log but '{declared_unit}' in the signal map; "
-            "expected units of the same quantity"
-        )
-        raise LogError(source, problem, column=name)
 
 
 def resample_to_common_clock(
@@ -267,6 +256,7 @@ def resample_to_common_clock(
         for role in (DISPLACEMENT, *HOLD_ROLES)
         if role in clocks and role not in on_change and steps[role] <= SLOWEST_COMMAND * measured_step_s
     ]
+    # The slowest, since no channel must be made up between its samples; interpolation only thins out.
     reference = max(deciding, key=lambda role: steps[role], default=min(steps, key=lambda role: steps[role]))
     target = clocks[reference]
     others = {role for role, clock in clocks.items() if not np.array_equal(clock, target)}
@@ -279,6 +269,7 @@ def resample_to_common_clock(
     for role, values in samples.items():
         if role not in others:
             samples[role] = values[mask]
+        # A valve never sees a value between two commands; nor has a state, such as a gear, one.
         elif role in on_change or role in HOLD_ROLES:
             samples[role] = values[held_rows(clocks[role], target)]
         else:
@@ -304,6 +295,7 @@ def _check_time(source: Path | str, time_s: np.ndarray, channel: LogChannel, nam
     if clock is None or clock.size < 2:
         return
     clock_duration_s, time_duration_s = float(clock[-1] - clock[0]), float(time_s[-1] - time_s[0])
+    # Their origins may differ, for a clock counts from its own start; their lengths may not.
     if not abs(clock_duration_s - time_duration_s) <= abs(time_duration_s) / (clock.size - 1):
         problem = f"lasts {clock_duration_s:g} s on its own clock, {time_duration_s:g} s on the time channel"
         raise LogError(
@@ -340,7 +332,9 @@ def _logged_on_change(
         intervals = np.diff(clocks[role])
         step_s = float(np.median(intervals))
         shorter, longer = np.quantile(intervals, [1 - ON_CHANGE_QUANTILE, ON_CHANGE_QUANTILE])
+        # A slow but regular channel is sampled, not written on change, and is no step function.
         is_irregular = longer > GAP_FACTOR * step_s or step_s > GAP_FACTOR * shorter
+        # A logger on change writes only new values, and often the last one again when it stops.
         never_repeats = role in HOLD_ROLES and np.all(np.diff(samples[role][:-1]))
         if step_s > ON_CHANGE_STEPS * measured_step_s and (is_irregular or never_repeats):
             on_change.add(role)
@@ -405,6 +399,7 @@ def records_of(name: str, table: LogTable, signals: SignalMap) -> list[Record]:
             signals=resampled(cut, stamps, uniform(stamps, section.step_s)) if section.resampled else cut,
             units=table.units,
             start_s=float(stamps[0]),
+            # A table in memory has a name only: a path that is no file would be shown as one.
             source=source if isinstance(source, Path) else None,
             notices=section.notices,
             clock=section.clock,

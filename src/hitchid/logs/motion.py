@@ -43,20 +43,22 @@ class Windows:
         return best
 
 
-def windows(logs: Sequence[tuple[Content, Mapping[str, np.ndarray]]], names: Sequence[str]) -> Windows:
+def windows(logs: Sequence[Content], names: Sequence[str]) -> Windows:
     """Return means and rates over windows of 0.2 s, or of three samples if that is longer.
 
-    A log is its content, and channel to the time of its samples, s, shape [N]. At most 80 names are used.
+    Every channel has a clock. At most 80 names are used.
     """
     names = names[:MAX_CHANNELS]
     means: dict[str, list[np.ndarray]] = {name: [] for name in names}
     rates: dict[str, list[np.ndarray]] = {name: [] for name in names}
     follows: list[np.ndarray] = []
-    for content, times in logs:
+    for content in logs:
+        times = {name: np.asarray(content.channels[name].clock_s) for name in names}
         steps = {name: float(np.median(np.diff(times[name]))) for name in names}
         # Rare channels, such as a command logged on change, hold; they do not decide the windows.
         dense = [name for name in names if steps[name] <= MAX_STEP_RATIO * min(steps.values())]
         width = max(WINDOW_S, WINDOW_SAMPLES * max(steps[name] for name in dense))
+        # Where a channel has no sample yet, its hold is not known; after its last one it goes on.
         begin = max(float(times[name][0]) for name in names)
         end = min(float(times[name][-1]) for name in dense)
         edges = begin + width * np.arange(int((end - begin) / width) + 1)

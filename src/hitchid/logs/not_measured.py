@@ -48,11 +48,13 @@ def without_unmeasured(
         values, clock = channel.values, channel.clock_s if time is None else time.values
         if clock is None or clock.size != values.size or values.size < 2:
             continue  # the clocks refuse it
+        # Infinite numbers, too: no sensor reads them.
         missing = ~np.isfinite(values)
         if missing.all():
             problem = f"expected finite numbers, got {values[0]} in all {values.size} samples"
             raise LogError(source, problem, line=line_of(0), column=names[role])
         kinds = ["hold no number"] if missing.any() else []
+        # Before the stale start, which is judged by jumps: an error code is no jump of the piston.
         for code, rows in _error_codes(values, missing, is_command=role in HOLD_ROLES):
             kinds.append(f"read {_reading(code, channel)}, as a logger writes for an error")
             missing[rows] = True
@@ -70,6 +72,7 @@ def without_unmeasured(
             f"{sample_or_line(int(np.argmax(missing)), line_of)}: they {', or '.join(kinds)}"
         )
         notices.append(Notice(NOT_MEASURED, sentence, role, Severity.WARNING))
+    # All gaps were closed: the log keeps its one clock, and its lines.
     if not any(rows.any() for rows in missing_rows.values()):
         return time, cleaned, notices
     for role, channel in cleaned.items():
@@ -94,6 +97,7 @@ def _filled(
     values: np.ndarray, missing: np.ndarray, clock: np.ndarray, *, is_held: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the samples with short gaps closed, and which samples stay missing, both of shape [N]."""
+    # So much is missing in a channel that was logged more rarely than the others.
     if np.count_nonzero(missing) > FILLED_SHARE * values.size:
         return values, missing
     rows = np.flatnonzero(~missing)
@@ -130,6 +134,7 @@ def _error_codes(
             return
         middle = float(np.median(readings))
         candidates = {float(readings.min()), float(readings.max()), 0.0}
+        # The farthest first: while it is among the readings, their noise and range hide a nearer one.
         for code in sorted(candidates, key=lambda code: -abs(code - middle)):
             is_code = readings == code
             if not 0 < np.count_nonzero(is_code) <= readings.size - FEWEST_SAMPLES:
@@ -162,6 +167,7 @@ def _interruptions(readings: np.ndarray, is_code: np.ndarray) -> np.ndarray:
     counts = (near >= 0) & (near < steps.size)
     # Over a longer interruption the piston moves on: the step across it shows nothing.
     counts &= (offsets != 0) | (stops - starts <= SHORT_SAMPLES)[:, None]
+    # What the piston does around the interruption is the measure: near a spike it may move fast.
     motion = np.max(np.where(counts, steps[np.clip(near, 0, steps.size - 1)], 0.0), axis=1)
     left = np.where(before >= 0, np.abs(others[np.maximum(before, 0)] - code), np.inf)
     right = np.where(after < others.size, np.abs(others[np.minimum(after, others.size - 1)] - code), np.inf)
@@ -171,11 +177,14 @@ def _interruptions(readings: np.ndarray, is_code: np.ndarray) -> np.ndarray:
     interrupts = (height > ISOLATION * motion) & ~is_start
     if not interrupts.any():
         return np.zeros(is_code.size, dtype=bool)
+    # Neighbours at rest move by nothing at all: then noise and the fastest motion are the measure.
     interrupts &= height > max(_noise_limit(others), FASTER_THAN_MOTION * _fast_step(steps))
     low, high = np.percentile(others, [1, 99])
     is_far = max(low - code, code - high) > high - low
+    # Any other single reading inside the range may be a real one.
     if not (code == 0.0 or is_far or np.count_nonzero(interrupts) >= 2):
         return np.zeros(is_code.size, dtype=bool)
+    # Interruptions are stretches of samples: counted up at their starts, down at their ends.
     marks = np.zeros(is_code.size + 1, dtype=np.int64)
     np.add.at(marks, starts[interrupts], 1)
     np.add.at(marks, stops[interrupts], -1)
@@ -199,6 +208,7 @@ def _stale_start(values: np.ndarray, missing: np.ndarray, commands: Sequence[np.
         rest = min(rest, int(np.argmax(changed)) if np.any(changed) else rest)
     fast = FASTER_THAN_MOTION * _fast_step(steps[STALE_SAMPLES:])
     least = max(_noise_limit(readings[STALE_SAMPLES:]), MIN_STALE_FRACTION * np.ptp(readings[STALE_SAMPLES:]))
+    # From the longest on: within a stale start nothing moves, so a shorter one would leave a part of it.
     for stale in range(STALE_SAMPLES, 0, -1):
         following = steps[stale : max(stale + NEIGHBOURS, min(rest, REST_SAMPLES))]
         at_rest = np.count_nonzero(following) > NEIGHBOURS and np.ptp(readings[:stale]) == 0
@@ -216,6 +226,7 @@ def _fast_step(steps: np.ndarray) -> float:
 
 def _noise_limit(readings: np.ndarray) -> float:
     """Return what noise and rounding change at most from one sample to the next."""
+    # Second differences: they vanish for motion at constant speed, which noise does not.
     differences = np.diff(readings)
     changes = np.abs(differences[differences != 0])
     noise = float(np.median(np.abs(np.diff(differences)))) / NORMAL_MEDIAN / SECOND_DIFFERENCE

@@ -56,6 +56,7 @@ def plot_campaign(
         raise InputError(f"the campaign has no {direction or ''} tests to plot; expected at least one")
     given = None if axes is None else checked_axes(axes)
     shown = records[: MAX_TESTS if given is None else given.size]
+    # Axes of the user are one column: how they stand in their figure is not known.
     columns = min(COLUMNS, len(shown)) if given is None else 1
     rows = -(-len(shown) // columns)
     with canvas(
@@ -74,6 +75,7 @@ def plot_campaign(
             remark = " (held out)" if record.name in held_out else ""
             if number == len(shown) < len(records):
                 remark += f" + {len(records) - number} more tests"
+            # A file may be called anything: a title must neither be parsed as mathematics nor leave its axes.
             name, room = printable(record.name), MAX_TITLE - len(remark)
             short = name if len(name) <= room else f"{name[: room - 1]}…"
             cell.set_title(f"{short}{remark}", loc="left", parse_math=False)

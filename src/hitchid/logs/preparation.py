@@ -38,6 +38,7 @@ def detrend(record: Record, signals: Sequence[str]) -> Record:
     """Return the record without the linear trend of measured signals; see `Record.detrend`."""
     if len(record) < 2:
         raise InputError(f"record '{record.name}': expected at least 2 samples, got {len(record)}")
+    # Centred: slope and mean are then independent, and the mean of the signal stays.
     time_s = record.time_s - record.time_s.mean()
     for role in _measured(record, signals):
         samples = record.signals[role]
@@ -56,6 +57,7 @@ def low_pass(record: Record, cutoff_hz: float, signals: Sequence[str]) -> Record
             f"cutoff_hz: expected a frequency below half the sampling rate, {highest_hz:g} Hz, got "
             f"{cutoff_hz:g}"
         )
+    # Slower than the record is long, the filter shows only how it was started.
     lowest_hz = 1 / (len(record) * record.step_s)
     if cutoff_hz < lowest_hz:
         raise InputError(

@@ -157,25 +157,20 @@ def propose(logs: str | Path | Iterable[str | Path]) -> str:
     contents = [log for log in contents if log.channels.keys() == reference.channels.keys()]
     time, as_read = _time(contents), contents
     contents = [_with_clocks(content, time) for content in contents]
-    timed = [
-        (content, {name: np.asarray(channel.clock_s) for name, channel in content.channels.items()})
-        for content in contents
-    ]
     names = []
     for name in contents[0].channels:
         arrays = [content.channels[name].values for content in contents]
         is_constant = not any(samples.size > 0 and np.ptp(samples) > 0 for samples in arrays)
         if name != time.name and not is_constant and all(samples.size > 1 for samples in arrays):
             names.append(name)
-    log_windows = windows(timed, names) if names else Windows({}, {}, np.zeros(0, dtype=bool))
-    guesses = sorted(_guesses(log_windows, names, contents), reverse=True)
+    guesses = sorted(_guesses(windows(contents, names), contents), reverse=True) if names else []
     if not guesses:
         raise InputError(
             "no pair of columns correlates like command and displacement; "
             f"check the columns: {', '.join(names) or 'none'}"
         )
     # A line break in a name would end a comment.
-    lines = [printable(line.replace("\n", " ")) for line in _lines(guesses, time, timed, names)]
+    lines = [printable(line.replace("\n", " ")) for line in _lines(guesses, time, contents, names)]
     stops = _end_stops(tomllib.loads("\n".join(lines))["signals"], as_read)
     title = f"# Proposed by hitchid inspect --propose from {len(contents)} logs: check every line."
     return "\n".join([title, *stops, *lines])
@@ -237,14 +232,15 @@ def _with_clocks(content: Content, time: _Time) -> Content:
     return replace(content, channels=channels)
 
 
-def _guesses(log_windows: Windows, names: Sequence[str], contents: Sequence[Content]) -> Iterator[_Guess]:
+def _guesses(log_windows: Windows, contents: Sequence[Content]) -> Iterator[_Guess]:
     """Yield every displacement with every candidate command, or pair of one-sided commands."""
-    lowest = {name: min(float(c.channels[name].values.min()) for c in contents) for name in log_windows.means}
     for y in (name for name in log_windows.means if _smooth(name, contents)):
         single = {c: log_windows.correlation(log_windows.means[c], y) for c in log_windows.means if c != y}
         for c, correlation in single.items():
             yield _Guess(_score(correlation, (c,), y, contents), correlation, (c,), y)
-        one_sided = [c for c, r in single.items() if lowest[c] >= 0 and abs(r) > MIN_PAIR_CORRELATION]
+        one_sided = [
+            c for c, r in single.items() if abs(r) > MIN_PAIR_CORRELATION and _range(c, contents)[0] >= 0
+        ]
         for plus, minus in permutations(one_sided, 2):
             if not single[plus] > 0 > single[minus]:
                 continue
@@ -255,9 +251,9 @@ def _guesses(log_windows: Windows, names: Sequence[str], contents: Sequence[Cont
 
 def _smooth(name: str, contents: Sequence[Content]) -> bool:
     """Return whether a channel's one-step changes are small compared with its range, as for a piston."""
-    arrays = [content.channels[name].values for content in contents]
-    value_range = max(float(a.max()) for a in arrays) - min(float(a.min()) for a in arrays)
-    return sum(float(np.abs(np.diff(a)).mean()) for a in arrays) < MAX_STEP_RATIO * len(arrays) * value_range
+    low, high = _range(name, contents)
+    motion = sum(float(np.abs(np.diff(content.channels[name].values)).mean()) for content in contents)
+    return motion < MAX_STEP_RATIO * len(contents) * (high - low)
 
 
 def _score(correlation: float, commands: tuple[str, ...], y: str, contents: Sequence[Content]) -> float:
@@ -277,23 +273,20 @@ def _score(correlation: float, commands: tuple[str, ...], y: str, contents: Sequ
 
 
 def _lines(
-    guesses: Sequence[_Guess],
-    time: _Time,
-    timed: Sequence[tuple[Content, Mapping[str, np.ndarray]]],
-    names: Sequence[str],
+    guesses: Sequence[_Guess], time: _Time, contents: Sequence[Content], names: Sequence[str]
 ) -> Iterator[str]:
-    best, contents = guesses[0], [content for content, _ in timed]
+    best = guesses[0]
     yield "[signals]"
     if time.name is not None:
         yield f"# {time.reason}"
         yield f"time = {_column(time.name, time.unit)}"
     else:
         yield "# the file has a clock for every channel: no time column is needed"
-    zero = _rest_reading(best, timed)
-    for role, name in _roles(best, zero, _range(best.commands[0], contents)):
+    zero = _rest_reading(best, contents)
+    commands = _roles(best, zero, _range(best.commands[0], contents))
+    for role, name in (*commands, ("displacement", best.displacement)):
         low, high = _range(name, contents)
-        stated = contents[0].channels[name].unit
-        unit, source = unit_of(role, name, stated, max(abs(low), abs(high)), zero)
+        unit, source = unit_of(role, name, contents[0].channels[name].unit, max(abs(low), abs(high)), zero)
         options = ""
         if role == "command" and zero is not None:
             options += f", zero = {zero:.6g}"
@@ -303,18 +296,6 @@ def _lines(
             yield "# the displacement decreases while it is above its zero: the sign is reversed"
         yield f"# {low:.5g} to {high:.5g}, {_reason(role, best)}; {source}"
         yield f"{role} = {_column(name, unit, options)}"
-    low, high = _range(best.displacement, contents)
-    unit, source = unit_of(
-        "displacement",
-        best.displacement,
-        contents[0].channels[best.displacement].unit,
-        max(abs(low), abs(high)),
-    )
-    yield (
-        f"# {low:.5g} to {high:.5g}, smooth, its rate correlates with the command "
-        f"(r = {best.correlation:.2f}); {source}"
-    )
-    yield f"displacement = {_column(best.displacement, unit)}"
     yield from _covariates(best, contents, names)
     for guess in guesses[1:4]:
         if guess.score > best.score - SCORE_MARGIN:
@@ -339,6 +320,8 @@ def _roles(best: _Guess, zero: float | None, limits: tuple[float, float]) -> lis
 
 
 def _reason(role: str, best: _Guess) -> str:
+    if role == "displacement":
+        return f"smooth, its rate correlates with the command (r = {best.correlation:.2f})"
     if role == "command":
         return f"one signed column that moves {best.displacement} in both directions"
     direction = "up" if role == "lifting_command" else "down"
@@ -376,20 +359,19 @@ def _end_stops(signals: Mapping[str, object], contents: Sequence[Content]) -> It
         yield "# an end stop; where the other is known, say both: end_stops = [lowest, highest]"
 
 
-def _rest_reading(best: _Guess, timed: Sequence[tuple[Content, Mapping[str, np.ndarray]]]) -> float | None:
+def _rest_reading(best: _Guess, contents: Sequence[Content]) -> float | None:
     """Return the neutral reading of a signed command; None if it is zero."""
     if len(best.commands) != 1:
         return None
-    (command,), displacement = best.commands, best.displacement
-    largest = max(float(np.abs(content.channels[command].values).max()) for content, _ in timed)
     runs = []
-    for content, times in timed:
-        clock, samples = times[displacement], content.channels[displacement].values
-        held = np.maximum(np.searchsorted(times[command], clock, side="right") - 1, 0)
-        values = content.channels[command].values[held]
-        runs.append(CommandResponse(values, samples, float(np.median(np.diff(clock)))))
-    level = rest_level(runs)
-    return level if level is not None and abs(level) > ACTIVE_FRACTION * largest else None
+    for content in contents:
+        command, displacement = content.channels[best.commands[0]], content.channels[best.displacement]
+        clock = np.asarray(displacement.clock_s)
+        held = np.maximum(np.searchsorted(np.asarray(command.clock_s), clock, side="right") - 1, 0)
+        step_s = float(np.median(np.diff(clock)))
+        runs.append(CommandResponse(command.values[held], displacement.values, step_s))
+    level, limits = rest_level(runs), _range(best.commands[0], contents)
+    return level if level is not None and abs(level) > ACTIVE_FRACTION * max(map(abs, limits)) else None
 
 
 def _covariates(best: _Guess, contents: Sequence[Content], names: Sequence[str]) -> Iterator[str]:

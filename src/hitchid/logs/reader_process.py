@@ -75,6 +75,7 @@ class ReaderProcess(AbstractContextManager["ReaderProcess"]):
 
 
 def _start_child() -> "subprocess.Popen[bytes]":
+    # The child must find what this process has found, but no module in the working folder.
     paths = os.pathsep.join(path for path in sys.path if path)
     return subprocess.Popen(
         [sys.executable, "-c", "from hitchid.logs.reader_process import main; main()"],
@@ -93,6 +94,7 @@ def _request_content(child: "subprocess.Popen[bytes]", path: Path, request: byte
     with _time_limit(child, LONGEST_START_S):
         stdin.write(request)
         stdin.flush()
+        # Whatever a library prints goes elsewhere: anything but the agreed line is a child that failed.
         if stdout.readline() != READY:
             raise EOFError
     with _time_limit(child, limit_s):
@@ -113,6 +115,7 @@ def _request_content(child: "subprocess.Popen[bytes]", path: Path, request: byte
 
 
 def _read_samples(stdout: IO[bytes], size: int) -> np.ndarray:
+    # Into one buffer: a long log must not exist twice on its way through the pipe.
     samples = np.empty(size)
     view = samples.data.cast("B")
     while view:
@@ -134,6 +137,7 @@ def _time_limit(child: "subprocess.Popen[bytes]", limit_s: float) -> Iterator[No
     timed_out = threading.Event()
 
     def end() -> None:
+        # Set before the kill: the reader of the pipe must see the reason when it finds the end.
         timed_out.set()
         child.kill()
 
@@ -173,6 +177,7 @@ def main() -> None:
         with suppress(ImportError):  # a system that can set no limit
             import resource
 
+            # Anew for every log; the hard limit stays, or a larger file could never raise it again.
             limit_bytes = BASE_MEMORY_BYTES + MEMORY_PER_FILE_BYTE * path.stat().st_size
             hard_limit = resource.getrlimit(resource.RLIMIT_DATA)[1]
             resource.setrlimit(resource.RLIMIT_DATA, (limit_bytes, hard_limit))
@@ -198,6 +203,7 @@ def _send_content(output: IO[bytes], content: Content, max_bytes: int) -> None:
         number = None if channel.clock_s is None else list(clocks).index(id(channel.clock_s))
         channels.append([name, channel.unit, channel.values.size, number])
     sizes = [clock.size for clock in clocks.values()]
+    # Told by the child: the parent must not allocate what a hostile file claims.
     if 8 * (sum(sizes) + sum(entry[2] for entry in channels)) > max_bytes:
         _send(output, {"problem": f"unpacks to more than {MAX_UNPACK_RATIO} times its size; check the file"})
         return

@@ -56,6 +56,7 @@ def find_logs(logs: str | Path | Iterable[str | Path]) -> list[Path]:
             raise InputError(f"{path}: there is no such file or folder")
     if not paths:
         raise InputError("no logs given; expected files or folders")
+    # Beside logs a note is left out with its reason; alone it is an error that lists the formats.
     if not any(map(known_format, paths)):
         format_of(next(iter(paths)))
     return list(paths)
@@ -70,6 +71,7 @@ def settings_of(paths: Iterable[Path], signals: str | Path | None = None) -> dic
         InputError: a folder's settings or databases are a broken link.
         SettingsError: a settings file cannot be used.
     """
+    # A file that is named counts for all folders, also those with a campaign.toml of their own.
     shared = None
     if signals is not None:
         shared = _with_databases(read_campaign_file(Path(signals)), Path(signals).parent)
@@ -135,6 +137,7 @@ def read(
         SettingsError: a settings file cannot be used.
         InputError: there are no logs, or no log of a direction can be used.
     """
+    # So that every function that takes logs takes a campaign, too.
     if isinstance(logs, Campaign):
         return logs
     if isinstance(logs, Mapping | Frame | Record):
@@ -166,6 +169,7 @@ def read_logs(
     Raises:
         LogError: with `strict`, a log cannot be read.
     """
+    # A file of no known format has no ending to remove; it is left out under its whole name.
     names = [record_name(path) if known_format(path) else path.name for path in paths]
     with ReaderProcess() as process:
         records_by_log, left_out = split_usable(
@@ -185,11 +189,7 @@ def assemble(
 ) -> Campaign:
     """Make a campaign of records, with the split and the kinds from the settings of each folder.
 
-    Args:
-        records: tests.
-        settings: of each folder.
-        left_out: logs that could not be read; a pattern may match one of them.
-        strict: see `Campaign.of`.
+    A pattern may match a log that could not be read.
 
     Raises:
         InputError, LogError: as `Campaign.of`.
@@ -216,6 +216,7 @@ def assemble(
     )
     end_stops = _end_stops(distinct_records, settings, campaign)
     patterns = {pattern for split in splits for pattern in split.test} - matched
+    # A log that cannot be read is known by name: a pattern for it is no misspelling.
     unmatched = {p for p in patterns if not any(fnmatchcase(log.name, p) for log in left_out)}
     return replace(campaign, unmatched=tuple(sorted(unmatched)), end_stops=end_stops)
 
@@ -228,6 +229,7 @@ def _end_stops(
     for record in records:
         given = settings[record.source.parent].end_stops if record.source is not None else None
         if given is not None:
+            # Folders may measure in unlike units; twelve digits hide the rounding of the conversion.
             factor = conversion_factor(record.unit, unit, f"end_stops of '{record.name}'")
             low, high = (float(f"{factor * position:.12g}") for position in given)
             stops[low, high] = record.name
@@ -238,12 +240,7 @@ def _end_stops(
 
 
 def read_log(path: Path, settings: CampaignFile, process: ReaderProcess) -> list[Record]:
-    """Read one log into a record for each stretch without a gap.
-
-    Args:
-        path: the log.
-        settings: of its folder.
-        process: reads formats of third-party libraries.
+    """Read one log, by the settings of its folder, into a record for each stretch without a gap.
 
     Raises:
         LogError: a column is missing, holds no numbers, or the clock cannot be used.
@@ -261,6 +258,7 @@ def read_table(path: Path, settings: CampaignFile, process: ReaderProcess) -> Lo
 def read_content(path: Path, selection: ChannelSelection, process: ReaderProcess) -> Content:
     """Read the selected channels of a log as stored; see `read_log`."""
     log_format = format_of(path)
+    # A library may crash on a damaged file: it runs in another process. Text is read here, which is faster.
     return process.read(path, selection) if log_format.libraries else log_format.read(path, selection)
 
 

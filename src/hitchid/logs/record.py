@@ -72,6 +72,7 @@ class Record(Value, Summarised):
         checks.instance(self.units, Mapping, f"record '{self.name}': units", "role to unit")
         checks.number(self.start_s, f"record '{self.name}': start_s")
         checks.one_of(self.kind, KINDS, f"record '{self.name}': kind")
+        # Checked here once, so that no later step has to ask what a record holds.
         if DISPLACEMENT not in self.signals:
             raise InputError(
                 f"record '{self.name}': a displacement signal is required, got {sorted(self.signals)}"
@@ -150,6 +151,7 @@ class Record(Value, Summarised):
         """Return whether the record has a signal of this name."""
         return signal in self.signals
 
+    # Without this Python would iterate by number, and fail at 0 with a confusing message.
     __iter__ = None  # a record is neither a sequence of samples nor of signals
 
     @property
@@ -203,6 +205,7 @@ class Record(Value, Summarised):
         The samples relative to the first, divided by their range and rounded to 10⁻⁶, and the range in SI
         units are hashed: the fingerprint does not depend on file name, unit and mapping of commands.
         """
+        # The start is left out: the same log with another zero of its sensor is the same test.
         relative = self.displacement - self.displacement[0]
         peak_to_peak = float(np.ptp(relative))
         shape = relative / (peak_to_peak or 1.0)
@@ -224,6 +227,7 @@ class Record(Value, Summarised):
     def resample(self, step_s: float) -> "Record":
         """Return the record at sampling time `step_s`; raises `InputError` unless it is above 0."""
         checks.number(step_s, "step_s", above=0.0)
+        # Before anything is allocated: a step in the wrong unit asks for more samples than the memory holds.
         samples = np.floor((len(self) - 1) * self.step_s / step_s * (1 + 1e-12)) + 1
         if not samples <= MAX_SAMPLES:
             raise InputError(
@@ -310,6 +314,7 @@ class Record(Value, Summarised):
             InputError: a unit is unknown or of another dimension.
         """
         checks.instance(units, Mapping, "units", "role to unit")
+        # Units of signals that this record lacks are for others of its campaign.
         factors = {
             role: conversion_factor(self.units[role], unit, f"record '{self.name}', {role}")
             for role, unit in units.items()

@@ -82,6 +82,7 @@ def unique_stamp_rows(time_s: np.ndarray, source: object, *, column: str, line_o
     if intervals.size and not np.any(intervals):
         problem = f"all {time_s.size} time stamps are {time_s[0]:g} s; expected increasing time stamps"
         raise LogError(source, problem, line=line_of(1), column=column)
+    # Of equal stamps the first row stands for all; its sample is chosen later, by kind of signal.
     rows = np.concatenate([[0], np.flatnonzero(intervals) + 1]) if time_s.size else np.arange(0)
     median = float(np.median(intervals[intervals > 0])) if intervals.size else SHORTEST_STEP_S
     longest = float(np.max(intervals, initial=median))
@@ -110,6 +111,7 @@ def spread_stamps(time_s: np.ndarray, position: np.ndarray) -> tuple[np.ndarray,
     step_s = float(time_s[rows[-1]] - time_s[rows[0]]) / float(rows[-1] - rows[0])
     even = np.round(time_s[rows[0]] + step_s * (np.arange(time_s.size) - rows[0]), 9)
     resolution_s = float(np.median(intervals[rows - 1]))
+    # A logger that repeats rows, or stamps events twice, has one sample a stamp and must not be spread.
     if np.mean(changed) < CHANGED_SHARE or np.max(np.abs(even - time_s)) > resolution_s + step_s:
         return None
     sentence = (
@@ -160,8 +162,16 @@ def sections(
     short = max(SHORT_GAP_S, (SHORT_GAP_STEPS + GRID_TOLERANCE) * median)
     longest = max(LONGEST_BRIDGE_S, (LONGEST_BRIDGE_STEPS + GRID_TOLERANCE) * median)
     gaps = np.flatnonzero(intervals > max(short, GAP_FACTOR * median))
-    bridging = _GapBridging(time_s, commands, position)
-    cuts = [int(gap) + 1 for gap in gaps if intervals[gap] > longest or not bridging.can_bridge(int(gap))]
+    # An interpolation must hide no stroke: constant commands, and rest or one speed before and after.
+    changed = np.zeros(intervals.size, dtype=bool)
+    for command in commands.values():
+        changed |= np.abs(np.diff(command)) > COMMAND_TOLERANCE * np.ptp(command)
+    tolerance = MOTION_TOLERANCE * float(np.ptp(position))
+    cuts = [
+        row + 1
+        for row in gaps.tolist()
+        if intervals[row] > longest or changed[row] or not _is_steady(time_s, position, row, tolerance)
+    ]
     # A sample alone between two gaps has no speed, and is left out.
     return [
         _section(time_s, start, stop, median)
@@ -170,34 +180,22 @@ def sections(
     ]
 
 
-class _GapBridging:
-    """Condition of interpolation over a gap: constant commands, and rest or constant speed."""
-
-    def __init__(self, time_s: np.ndarray, commands: Mapping[str, np.ndarray], position: np.ndarray) -> None:
-        self.time_s, self.position = time_s, position
-        self.commands = [(command, COMMAND_TOLERANCE * np.ptp(command)) for command in commands.values()]
-        self.tolerance = MOTION_TOLERANCE * np.ptp(position)
-
-    def can_bridge(self, row: int) -> bool:
-        """Return whether the gap after a row may be interpolated."""
-        if any(abs(command[row + 1] - command[row]) > tolerance for command, tolerance in self.commands):
-            return False
-        last = self.time_s.size - 1
-        first_row, last_row = max(0, row - SPEED_ROWS), min(last, row + 1 + SPEED_ROWS)
-        if first_row == row or last_row == row + 1:
-            return False
-        travel = self.position[row + 1] - self.position[row]
-        gap_s = self.time_s[row + 1] - self.time_s[row]
-        speeds = (self._speed(first_row, row), self._speed(row + 1, last_row))
-        return all(abs(travel - speed * gap_s) <= self.tolerance for speed in speeds)
-
-    def _speed(self, first: int, last: int) -> float:
-        travel = self.position[last] - self.position[first]
-        return float(travel / (self.time_s[last] - self.time_s[first]))
+def _is_steady(time_s: np.ndarray, position: np.ndarray, row: int, tolerance: float) -> bool:
+    """Return whether the travel over the gap after a row agrees with the speeds before and after."""
+    first, last = max(0, row - SPEED_ROWS), min(time_s.size - 1, row + 1 + SPEED_ROWS)
+    if first == row or last == row + 1:
+        return False  # no speed is known on one side
+    travel, gap_s = position[row + 1] - position[row], time_s[row + 1] - time_s[row]
+    speeds = [
+        float((position[stop] - position[start]) / (time_s[stop] - time_s[start]))
+        for start, stop in ((first, row), (row + 1, last))
+    ]
+    return all(abs(travel - speed * gap_s) <= tolerance for speed in speeds)
 
 
 def uniform(stamps: np.ndarray, step_s: float) -> np.ndarray:
     """Return the instants of a uniform grid from the first stamp to the last, s, shape [M]."""
+    # The last stamp counts where rounding puts it just below a whole number of steps.
     count = int((stamps[-1] - stamps[0]) / step_s * (1 + 1e-12) + 1e-6) + 1
     return stamps[0] + step_s * np.arange(count)
 
@@ -209,6 +207,7 @@ def _section(time_s: np.ndarray, start: int, stop: int, median: float) -> LogSec
         sentence = f"split at {time_s[start]:g} s: a gap of {gap:.3g} s, {gap / median:.1f} sampling times"
         notices = (Notice(AFTER_GAP, sentence),)
     intervals = np.diff(stamps)
+    # Lost samples count as steps of the grid, so that one gap does not make the step too long.
     grid_indices = np.concatenate([[0], np.cumsum(np.maximum(1, np.rint(intervals / median)))])
     # The mean step, rounded to four digits where the drift stays below the grid tolerance.
     steps = int(grid_indices[-1])

@@ -26,46 +26,35 @@ from hitchid.logs.units import UNITS, check_unit, unit_of_column
 # Errors of settings as sentences: the key, what was expected, what was found.
 
 MAX_SHOWN, MAX_PRINTED = 200, 10**100  # characters, largest integer in a message (chosen)
-EXPECTED: Mapping[str, str] = MappingProxyType(
-    {
-        "bool_parsing": "true or false",
-        "bool_type": "true or false",
-        "dataclass_type": "a table",
-        "dict_type": "a table",
-        "finite_number": "a finite number",
-        "float_parsing": "a number",
-        "float_type": "a number",
-        "frozen_set_type": "a list",
-        "greater_than": "a number above {gt:g}",
-        "greater_than_equal": "at least {ge:g}",
-        "int_from_float": "a whole number",
-        "int_parsing": "a whole number",
-        "int_parsing_size": "a smaller whole number",
-        "int_type": "a whole number",
-        "less_than": "a number below {lt:g}",
-        "less_than_equal": "at most {le:g}",
-        "list_type": "a list",
-        "json_invalid": "JSON of at most 200 levels",
-        "literal_error": "{expected}",
-        "mapping_type": "a table",
-        "missing": "a value",
-        "missing_argument": "a value",
-        "model_attributes_type": "a table",
-        "model_type": "a table",
-        "string_pattern_mismatch": "text like {pattern}",
-        "string_type": "text in quotes",
-        "too_long": "at most {max_length} entries",
-        "too_short": "at least {min_length} entries",
-        "tuple_type": "a list",
-        "union_tag_invalid": "{discriminator} to be one of {expected_tags}",
-        "union_tag_not_found": "the key {discriminator}",
-    }
-)
+ERRORS = {
+    "true or false": "bool_parsing bool_type",
+    "a table": "dataclass_type dict_type mapping_type model_attributes_type model_type",
+    "a list": "frozen_set_type list_type tuple_type",
+    "a number": "float_parsing float_type",
+    "a finite number": "finite_number",
+    "a whole number": "int_from_float int_parsing int_type",
+    "a smaller whole number": "int_parsing_size",
+    "a number above {gt:g}": "greater_than",
+    "a number below {lt:g}": "less_than",
+    "at least {ge:g}": "greater_than_equal",
+    "at most {le:g}": "less_than_equal",
+    "at least {min_length} entries": "too_short",
+    "at most {max_length} entries": "too_long",
+    "a value": "missing missing_argument",
+    "text in quotes": "string_type",
+    "text like {pattern}": "string_pattern_mismatch",
+    "{expected}": "literal_error",
+    "the key {discriminator}": "union_tag_not_found",
+    "{discriminator} to be one of {expected_tags}": "union_tag_invalid",
+    "JSON of at most 200 levels": "json_invalid",
+}
+EXPECTED = {error: text for text, errors in ERRORS.items() for error in errors.split()}
 """Type of a pydantic error to what was expected, with fields of its context."""
 
 
 def describe_settings(error: ValidationError, model: type[BaseModel] | None = None) -> str:
     """Return the first error of a validation as one sentence that names the key."""
+    # The first alone: the others often follow from it.
     first = error.errors(include_url=False)[0]
     kind, location = first["type"], first["loc"]
     key = _truncated(".".join(map(str, location)) or "settings")
@@ -164,6 +153,7 @@ class SignalColumn(StrictSettings):
     @model_validator(mode="before")
     @classmethod
     def _from_name(cls, value: object) -> object:
+        # The short form, column = "stroke_mm", has its unit in the name.
         if isinstance(value, str):
             return {"column": value, "unit": unit_of_column(value)}
         return value
@@ -179,6 +169,7 @@ class SignalColumn(StrictSettings):
     @field_validator("scale")
     @classmethod
     def _not_zero(cls, scale: float | None) -> float | None:
+        # A signal of zeros would be refused much later, as one that never moves.
         if scale == 0:
             raise ValueError("expected a number other than zero (units per reading)")
         return scale
@@ -219,6 +210,7 @@ class SignalMap(StrictSettings):
             raise ValueError("expected either command or lifting_command and lowering_command, not both")
         if not (self.command or self.lifting_command or self.lowering_command):
             raise ValueError("expected at least one of command, lifting_command, lowering_command")
+        # Signals and covariates share one mapping of the record: a covariate must not replace a signal.
         reserved = DIMENSIONS.keys() & {covariate.column for covariate in self.covariates}
         if reserved:
             raise ValueError(f"covariates: '{reserved.pop()}' is the name of a signal; rename the column")
@@ -249,6 +241,7 @@ def command_columns(directions: Iterable[str], units: Mapping[str, str]) -> dict
     columns = {}
     for role in (COMMAND[direction] for direction in directions):
         default, unit = getattr(DEFAULT_SIGNALS, role), units[role]
+        # A log that is written must read back without a campaign.toml, or with one that names it.
         columns[role] = default if unit == default.unit else SignalColumn(column=f"{role}_{unit}", unit=unit)
     return columns
 

@@ -61,6 +61,7 @@ def campaign_summary(campaign: Campaign) -> Table:
 
 def _picture(record: Record, roles: Sequence[str], label: str) -> str:
     """Return signals as a small picture; commands share a scale that begins at zero."""
+    # Commands on scales of their own would make noise on an idle valve look like a full stroke.
     commands = [record.signals[role] for role in COMMAND.values() if role in record.signals]
     shared = np.concatenate([np.zeros(1), *commands])
     scales = [shared if role in COMMAND.values() else record.signals[role] for role in roles]

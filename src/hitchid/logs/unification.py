@@ -59,11 +59,13 @@ def split_usable(
     for name, item in items:
         try:
             usable.append(work(item))
+        # It concerns all items: to leave each of them out would hide the one cause.
         except SettingsError:
             raise
         except InputError as error:
             if strict:
                 raise
+            # Without the traceback, whose frames would keep the arrays of the log alive.
             left_out.append(LeftOut(name, error.with_traceback(None)))
     return usable, left_out
 
@@ -156,6 +158,7 @@ def _to_reference_units(record: Record, reference: Record) -> Record:
             f"'{reference.name}' for {' and '.join(reference.directions)}; "
             "all records of a campaign must have the same commands"
         )
+    # No copy of all samples where nothing has to be converted.
     return record if record.units == reference.units else record.convert(reference.units)
 
 
@@ -179,6 +182,7 @@ def _to_common_clock(record: Record, step_s: float) -> Record:
             f"expected at most {MAX_RATE_RATIO} times longer or shorter than the median"
         )
         raise LogError(record.source or record.name, problem)
+    # Rounded stamps make steps differ slightly: to resample for that would smooth the log for nothing.
     return replace(record, step_s=step_s) if drift <= 0.05 * step_s else record.resample(step_s)
 
 

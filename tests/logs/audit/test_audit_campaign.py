@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from flawed import changed, findings_of, make_test
 
 from hitchid.logs.audit import Severity
 from hitchid.logs.record import DIRECTIONS
 
 
-def scaled(records, changed, role, factor, unit):
+def scaled(records, role, factor, unit):
     return [
         changed(record, signals={role: factor * record.signals[role]}, units={role: unit})
         for record in records
@@ -40,10 +41,8 @@ def scaled(records, changed, role, factor, unit):
         ("lifting_command", 10.0, "V", None, ""),
     ],
 )
-def test_a_wrong_unit_is_told_and_a_right_one_not_doubted(
-    clean, changed, findings_of, role, factor, unit, level, probably
-):
-    findings = findings_of(scaled(clean, changed, role, factor, unit), "units")
+def test_a_wrong_unit_is_told_and_a_right_one_not_doubted(clean, role, factor, unit, level, probably):
+    findings = findings_of(scaled(clean, role, factor, unit), "units")
     summaries = [(finding.severity, finding.signal, finding.record) for finding in findings]
     assert summaries == ([] if level is None else [(level, role, "")])
     assert all(probably in finding.what for finding in findings)
@@ -60,51 +59,47 @@ def test_a_wrong_unit_is_told_and_a_right_one_not_doubted(
         ("tank", "bar", -0.5, None),
     ],
 )
-def test_further_signals_are_held_against_their_unit(clean, changed, findings_of, name, unit, value, level):
+def test_further_signals_are_held_against_their_unit(clean, name, unit, value, level):
     records = [changed(r, signals={name: np.full(len(r), value)}, units={name: unit}) for r in clean]
     findings = findings_of(records, "units")
     assert [finding.severity for finding in findings] == ([] if level is None else [level])
 
 
-def turned(record, changed):
-    return changed(record, signals={"displacement": 300 - record.displacement})
+def turned(record):
+    return changed(record, 300 - record.displacement)
 
 
-def test_one_test_against_the_others_is_that_tests_fault(clean, changed, findings_of):
-    (finding,) = findings_of([turned(clean[0], changed), *clean[1:]], "sign")
+def test_one_test_against_the_others_is_that_tests_fault(clean):
+    (finding,) = findings_of([turned(clean[0]), *clean[1:]], "sign")
     assert (finding.severity, finding.record) == (Severity.FAULT, "lifting-1")
     assert "decreases" in finding.what
 
 
-def test_both_reversed_is_a_warning_and_both_alike_a_fault(clean, changed, findings_of):
-    (both,) = findings_of([turned(record, changed) for record in clean], "sign")
+def test_both_reversed_is_a_warning_and_both_alike_a_fault(clean):
+    (both,) = findings_of([turned(record) for record in clean], "sign")
     assert both.severity is Severity.WARNING
     assert "measures downwards" in both.advice
     assert "scale = -1" in both.advice
     lifting = [r for r in clean if "lifting" in r.name]
-    lowering = [turned(r, changed) for r in clean if "lowering" in r.name]
+    lowering = [turned(r) for r in clean if "lowering" in r.name]
     (alike,) = findings_of([*lifting, *lowering], "sign")
     assert alike.severity is Severity.FAULT
     assert "increases in lifting and in lowering" in alike.what
 
 
-def test_both_valves_at_once_are_found_with_their_span(clean, changed, findings_of):
+def test_both_valves_at_once_are_found_with_their_span(clean):
     command = np.zeros(len(clean[0]))
     command[200:300] = 0.5
-    (finding,) = findings_of(
-        [changed(clean[0], signals={"lowering_command": command}), *clean[1:]], "both valves"
-    )
-    assert (finding.severity, finding.record) == (Severity.WARNING, "lifting-1")
-    assert finding.spans == ((2.0, 2.99),)
-    command[205:] = 0
-    (finding,) = findings_of(
-        [changed(clean[0], signals={"lowering_command": command}), *clean[1:]], "both valves"
-    )
-    assert finding.severity is Severity.NOTE
+    for stop, severity in ((300, Severity.WARNING), (205, Severity.NOTE)):
+        command[stop:] = 0
+        both = changed(clean[0], signals={"lowering_command": command})
+        (finding,) = findings_of([both, *clean[1:]], "both valves")
+        assert (finding.severity, finding.record) == (severity, "lifting-1")
+        assert finding.spans == ((2.0, stop / 100 - 0.01),)
 
 
 @pytest.mark.parametrize(("offset", "level"), [(0.1, Severity.WARNING), (0.02, Severity.NOTE), (0.002, None)])
-def test_a_command_that_is_never_zero_is_found(clean, changed, findings_of, offset, level):
+def test_a_command_that_is_never_zero_is_found(clean, offset, level):
     records = [changed(r, signals={"lifting_command": r.command("lifting") + offset}) for r in clean]
     findings = findings_of(records, "idle command")
     assert [(finding.severity, finding.signal) for finding in findings] == (
@@ -115,7 +110,7 @@ def test_a_command_that_is_never_zero_is_found(clean, changed, findings_of, offs
 
 
 @pytest.mark.parametrize("last", [1.0, 1.03, 1.2, 0.85])
-def test_a_drift_of_the_speed_is_found_with_its_size(make_test, findings_of, last):
+def test_a_drift_of_the_speed_is_found_with_its_size(last):
     rng = np.random.default_rng(2)
     scatter = 1 + 0.005 * rng.standard_normal(10)
     gains = 40 * np.linspace(1, last, 10) * scatter
@@ -131,7 +126,7 @@ def test_a_drift_of_the_speed_is_found_with_its_size(make_test, findings_of, las
         assert change == pytest.approx(abs(last - 1), abs=0.025)
 
 
-def test_four_tests_and_levels_in_rising_order_are_no_drift(make_test, findings_of):
+def test_four_tests_and_levels_in_rising_order_are_no_drift():
     assert findings_of([make_test(f"l-{k}", gain=40 + 5 * k) for k in range(4)], "drift") == []
     levels = np.linspace(0.45, 0.9, 10)
     step = np.concatenate([np.zeros(50), np.ones(500), np.zeros(50)])
@@ -139,14 +134,14 @@ def test_four_tests_and_levels_in_rising_order_are_no_drift(make_test, findings_
     assert findings_of(records, "drift") == []
 
 
-def test_starts_at_unlike_places_are_noted(clean, changed, findings_of):
-    moved = changed(clean[0], signals={"displacement": clean[0].displacement + 20})
+def test_starts_at_unlike_places_are_noted(clean):
+    moved = changed(clean[0], clean[0].displacement + 20)
     (finding,) = findings_of([moved, *clean[1:]], "start position")
     assert finding.severity is Severity.NOTE
     assert "6 lifting tests start between" in finding.what
 
 
-def test_ramps_that_set_off_at_unlike_commands_are_found(make_test, findings_of):
+def test_ramps_that_set_off_at_unlike_commands_are_found():
     ramp = np.linspace(0, 0.6, 2000)
     alike = [make_test(f"r-{k}", command=ramp, zone=zone) for k, zone in enumerate([0.30, 0.31])]
     assert findings_of(alike, "dead zone") == []
@@ -161,7 +156,7 @@ def said(findings, text):
     return [finding for finding in findings if text in finding.what]
 
 
-def test_one_level_of_command_and_few_changes_are_told(make_test, clean, findings_of):
+def test_one_level_of_command_and_few_changes_are_told(clean):
     step = np.concatenate([np.zeros(50), np.full(500, 0.6), np.zeros(50)])
     findings = findings_of([make_test(f"l-{k}", command=step) for k in range(5)], "excitation")
     (one,) = said(findings, "one level of command, about 0.6 A")
@@ -172,7 +167,7 @@ def test_one_level_of_command_and_few_changes_are_told(make_test, clean, finding
     assert not said(findings_of(several, "excitation"), "one level")
 
 
-def test_little_motion_short_tests_and_rests_are_told(clean, make_test, findings_of):
+def test_little_motion_short_tests_and_rests_are_told(clean):
     still = make_test("lifting-7", gain=0.1)
     brief = make_test("lifting-8", samples=250)
     rest = np.concatenate([np.zeros(4000), np.full(150, 0.6), np.full(150, 0.4), np.full(50, 0.6)])
@@ -186,7 +181,7 @@ def test_little_motion_short_tests_and_rests_are_told(clean, make_test, findings
     assert [finding.record for finding in said(findings, "no command is active")] == ["lifting-10"]
 
 
-def test_a_default_split_of_the_strongest_tests_alone_is_noted(make_test, findings_of):
+def test_a_default_split_of_the_strongest_tests_alone_is_noted():
     levels = np.linspace(0.4, 0.9, 10)
     named = [make_test(f"a{k}", command=prbs_at(level)) for k, level in enumerate(levels)]
     (finding,) = said(
@@ -204,14 +199,14 @@ def prbs_at(level):
     return level * np.repeat(np.random.default_rng(0).choice([0.0, 1.0], 24), 50)
 
 
-def test_commands_barely_above_the_dead_zone_are_told(clean, make_test, findings_of):
+def test_commands_barely_above_the_dead_zone_are_told(clean):
     weak = [make_test(f"w-{k}", command=0.5 * r.command("lifting")) for k, r in enumerate(clean[:6])]
     findings = findings_of([*weak, *clean[6:]], "excitation")
     (finding,) = said(findings, "motion starts in ramps")
     assert (finding.severity, finding.signal) == (Severity.WARNING, "lifting_command")
 
 
-def test_missing_ramps_tests_and_held_out_tests_are_noted(clean, make_test, findings_of):
+def test_missing_ramps_tests_and_held_out_tests_are_noted(clean):
     findings = findings_of([make_test("lifting-1")], "excitation")
     assert said(findings, "no slow lifting ramp")
     assert said(findings, "lifting tests or strokes: 1, too few")
@@ -222,7 +217,7 @@ def test_missing_ramps_tests_and_held_out_tests_are_noted(clean, make_test, find
     assert [finding.signal for finding in without] == [f"{mode}_command" for mode in DIRECTIONS]
 
 
-def signed_around(make_test, changed, zero):
+def signed_around(zero):
     """Return tests of one signed command that rests at a reading, mapped as campaign.toml says no zero."""
     records = []
     for number in range(3):
@@ -236,16 +231,14 @@ def signed_around(make_test, changed, zero):
 
 
 @pytest.mark.parametrize(("zero", "level"), [(7.4745, Severity.FAULT), (-0.2, Severity.WARNING)])
-def test_a_command_that_rests_at_a_constant_gets_its_zero_proposed(
-    make_test, changed, findings_of, zero, level
-):
-    (finding,) = findings_of(signed_around(make_test, changed, zero), "neutral")
+def test_a_command_that_rests_at_a_constant_gets_its_zero_proposed(zero, level):
+    (finding,) = findings_of(signed_around(zero), "neutral")
     assert finding.severity is level
     assert f"zero = {zero:g} " in finding.advice
 
 
-def test_commands_resting_at_zero_need_no_other_zero(make_test, changed, clean, findings_of):
-    assert findings_of(signed_around(make_test, changed, 0.0), "neutral") == []
+def test_commands_resting_at_zero_need_no_other_zero(clean):
+    assert findings_of(signed_around(0.0), "neutral") == []
     assert findings_of(clean, "neutral") == []
     busy = [make_test(f"b-{n}", command=np.repeat([0.4, 0.6, 0.5], 400)) for n in range(3)]
     assert findings_of(busy, "neutral") == []
@@ -254,14 +247,14 @@ def test_commands_resting_at_zero_need_no_other_zero(make_test, changed, clean, 
 @pytest.mark.parametrize(
     ("factor", "said"), [(0.1, "10 times less"), (0.001, "1000 times less"), (25.4, "25.4 times more")]
 )
-def test_logs_in_another_unit_are_a_fault_each(make_test, changed, findings_of, factor, said):
+def test_logs_in_another_unit_are_a_fault_each(factor, said):
     commands = [
         np.concatenate([np.zeros(100), np.full(400, level)]) for level in (0.6, 0.7, 0.8, 0.65, 0.75, 0.7)
     ]
     logs = [make_test(f"l-{number}", command=command) for number, command in enumerate(commands)]
     assert findings_of(logs, "units") == []
     for number in (1, 4):
-        logs[number] = changed(logs[number], signals={"displacement": factor * logs[number].displacement})
+        logs[number] = changed(logs[number], factor * logs[number].displacement)
     findings = findings_of(logs, "units")
     assert [(finding.severity.value, finding.record) for finding in findings] == [
         ("fault", "l-1"),

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from flawed import changed, findings_of, make_test
 
 from hitchid.logs.audit import Severity
 from hitchid.logs.audit.clock_checks import lag_of
 
 
-def with_current(make_test, changed, name, delay_s, *, noise=0.005):
+def with_current(name, delay_s, *, noise=0.005):
     """Return a test whose measured current is its command, late by any time, as a coil's and filter's is."""
     record = make_test(name, samples=3000)
     time_s = record.time_s
@@ -19,8 +20,8 @@ def with_current(make_test, changed, name, delay_s, *, noise=0.005):
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.0137, 0.042, 0.25])
-def test_a_lag_is_found_to_a_fraction_of_a_sample(make_test, changed, delay_s):
-    record = with_current(make_test, changed, "a", delay_s)
+def test_a_lag_is_found_to_a_fraction_of_a_sample(delay_s):
+    record = with_current("a", delay_s)
     lag, fit = lag_of(record.command("lifting"), record.signals["current_measured"], step_s=record.step_s)
     assert lag == pytest.approx(delay_s, abs=0.1 * record.step_s)
     assert fit > 0.95
@@ -34,17 +35,15 @@ def test_a_lag_is_found_to_a_fraction_of_a_sample(make_test, changed, delay_s):
         (-0.05, Severity.FAULT, "leads the lifting command by 0.05"),
     ],
 )
-def test_a_leading_current_is_a_fault_a_lagging_one_noted(
-    make_test, changed, findings_of, delay_s, level, said
-):
-    (finding,) = findings_of([with_current(make_test, changed, "a", delay_s)], "lag")
+def test_a_leading_current_is_a_fault_a_lagging_one_noted(delay_s, level, said):
+    (finding,) = findings_of([with_current("a", delay_s)], "lag")
     assert (finding.severity, finding.signal) == (level, "current_measured")
     stated = float(finding.what.rsplit(" ", 2)[1])
     assert stated == pytest.approx(abs(delay_s), abs=0.001)
     assert finding.what.startswith("current_measured " + said.rsplit(" ", 1)[0])
 
 
-def test_a_current_of_both_valves_is_compared_with_both_commands(make_test, changed, findings_of):
+def test_a_current_of_both_valves_is_compared_with_both_commands():
     record = make_test("a")
     down = np.roll(record.command("lifting"), 400)
     up = np.where(down > 0, 0.0, record.command("lifting"))
@@ -53,7 +52,7 @@ def test_a_current_of_both_valves_is_compared_with_both_commands(make_test, chan
     assert finding.what == "total lags behind the commands by 0.0300 s"
 
 
-def test_an_unrelated_current_has_no_lag(make_test, changed, findings_of):
+def test_an_unrelated_current_has_no_lag():
     record = make_test("a")
     assert findings_of([record], "lag") == []
     other = np.random.default_rng(5).standard_normal(len(record))
@@ -61,9 +60,9 @@ def test_an_unrelated_current_has_no_lag(make_test, changed, findings_of):
     assert lag_of(np.ones(100), np.ones(100), step_s=0.01) is None
 
 
-def test_motion_ahead_of_the_command_in_most_tests_is_a_fault(clean, changed, findings_of):
+def test_motion_ahead_of_the_command_in_most_tests_is_a_fault(clean):
     def ahead(record):
-        return changed(record, signals={"displacement": np.roll(record.displacement, -40)})
+        return changed(record, np.roll(record.displacement, -40))
 
     early = [ahead(clean[0]), ahead(clean[1]), *clean[2:]]
     two = findings_of(early, "motion before command")
@@ -79,7 +78,7 @@ def test_motion_ahead_of_the_command_in_most_tests_is_a_fault(clean, changed, fi
     assert every.severity is Severity.FAULT
 
 
-def test_creeping_before_a_test_warns_and_a_spike_does_not(clean, planted, findings_of):
+def test_creeping_before_a_test_warns_and_a_spike_does_not(clean, planted):
     creep = clean[0].displacement + np.minimum(clean[0].time_s, 0.5) * 2.0
     (finding,) = findings_of(planted(creep), "motion before command")
     assert finding.severity is Severity.WARNING
@@ -89,7 +88,7 @@ def test_creeping_before_a_test_warns_and_a_spike_does_not(clean, planted, findi
     assert not findings_of(planted(spike), "motion before command")
 
 
-def test_resampled_logs_are_told(clean, changed, findings_of):
+def test_resampled_logs_are_told(clean):
     from hitchid.logs.record import Record
     from hitchid.logs.resampling import ClockQuality
 
@@ -109,7 +108,7 @@ def test_resampled_logs_are_told(clean, changed, findings_of):
     assert "6.0% of the samples were lost" in findings[2].what
 
 
-def test_a_step_too_coarse_for_the_motion_is_found(make_test, changed, findings_of):
+def test_a_step_too_coarse_for_the_motion_is_found():
     from hitchid.logs.record import Record
 
     command = np.concatenate([np.zeros(100), np.full(400, 0.6), np.zeros(100)])
@@ -122,7 +121,7 @@ def test_a_step_too_coarse_for_the_motion_is_found(make_test, changed, findings_
     assert "12%" in finding.what or "13%" in finding.what
 
 
-def test_gaps_are_counted_with_what_is_lost(clean, changed, findings_of):
+def test_gaps_are_counted_with_what_is_lost(clean):
     whole = clean[0]
     first, second = whole.slice(0, 400, name="cut@1"), whole.slice(650, 1200, name="cut@2")
     (finding,) = findings_of([first, second, *clean[1:]], "gaps")
@@ -135,7 +134,7 @@ def test_gaps_are_counted_with_what_is_lost(clean, changed, findings_of):
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1000.0, "ms or us"), (0.001, "s"), (20.0, None), (0.1, None)])
-def test_a_time_in_another_unit_is_found(clean, changed, findings_of, factor, unit):
+def test_a_time_in_another_unit_is_found(clean, factor, unit):
     records = [changed(record, step_s=factor * record.step_s) for record in clean]
     said = [finding.what for finding in findings_of(records, "units") if "the time is" in finding.what]
     assert [text.rpartition(" in ")[2] for text in said] == ([] if unit is None else [unit])

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from flawed import findings_of
 
 from hitchid.logs import read
 from hitchid.logs.audit import Severity, audit, feedback_of
@@ -91,7 +92,7 @@ def test_short_tests_ramps_and_silence_are_no_evidence(make_record):
     assert feedback_of(records) is None
 
 
-def test_the_audit_warns_and_tells_what_to_log(make_record, findings_of):
+def test_the_audit_warns_and_tells_what_to_log(make_record):
     rng = np.random.default_rng(6)
     (finding,) = findings_of([recorded(make_record, rng, setpoint=steps(rng))], "feedback")
     assert finding.severity is Severity.WARNING

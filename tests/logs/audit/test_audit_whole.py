@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from flawed import changed, findings_of
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
@@ -14,12 +15,12 @@ from hitchid.logs.campaign import Campaign
 from hitchid.logs.record import Record
 
 
-def test_clean_logs_and_none_have_no_findings(clean, findings_of):
+def test_clean_logs_and_none_have_no_findings(clean):
     assert findings_of(clean) == []
     assert audit(Campaign(())) == ()
 
 
-def test_findings_come_by_level_then_check_then_record(clean, changed, findings_of):
+def test_findings_come_by_level_then_check_then_record(clean):
     stuck, spiky = clean[3].displacement.copy(), clean[1].displacement.copy()
     stuck[500:700] = stuck[500]
     spiky[300] += 30
@@ -28,7 +29,7 @@ def test_findings_come_by_level_then_check_then_record(clean, changed, findings_
         clean[0],
         changed(clean[1], signals={"displacement": spiky, "lowering_command": both}),
         clean[2],
-        changed(clean[3], signals={"displacement": stuck}),
+        changed(clean[3], stuck),
         *clean[4:],
     ]
     levels = list(Severity)
@@ -39,11 +40,11 @@ def test_findings_come_by_level_then_check_then_record(clean, changed, findings_
     assert keys == sorted(keys)
 
 
-def test_what_four_records_share_is_one_finding_that_names_them(clean, changed, findings_of):
+def test_what_four_records_share_is_one_finding_that_names_them(clean):
     def spiky(record):
         displacement = record.displacement.copy()
         displacement[300] += 30
-        return changed(record, signals={"displacement": displacement})
+        return changed(record, displacement)
 
     three = findings_of([*map(spiky, clean[:3]), *clean[3:]], "spikes")
     assert [finding.record for finding in three] == ["lifting-1", "lifting-2", "lifting-3"]
@@ -52,7 +53,7 @@ def test_what_four_records_share_is_one_finding_that_names_them(clean, changed, 
     assert "in 5 of 16 tests (lifting-1, lifting-2, lifting-3 …)" in one.what
 
 
-def test_findings_and_quality_are_json(clean, planted, findings_of):
+def test_findings_and_quality_are_json(clean, planted):
     displacement = clean[0].displacement.copy()
     displacement[300] += 30
     (finding,) = findings_of(planted(displacement))

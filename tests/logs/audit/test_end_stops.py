@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from flawed import changed, findings_of, make_test
 
 from hitchid.errors import InputError, SettingsError
 from hitchid.logs import read
@@ -129,14 +130,14 @@ def test_stops_that_are_no_range_are_refused_with_the_file(tmp_path, wrong):
         read(write_log(tmp_path / "a", f"end_stops = {wrong}\n"))
 
 
-def test_a_piston_that_something_holds_before_its_end_is_found(clean, make_test, changed, findings_of):
+def test_a_piston_that_something_holds_before_its_end_is_found(clean):
     assert findings_of(clean, "stall") == []
     command = np.repeat([0.0, 0.6, 0.5, 0.0], 300)
     held, free = make_test("held", command=command), make_test("free", command=command)
     rng = np.random.default_rng(0)
     limited = np.minimum(held.displacement, 25.0) + 0.05 * rng.standard_normal(len(held))
     # At 0.6 A stands what 0.4 A moves in the others.
-    (finding,) = findings_of([changed(held, signals={"displacement": limited}), free, *clean], "stall")
+    (finding,) = findings_of([changed(held, limited), free, *clean], "stall")
     assert (finding.record, finding.severity) == ("held", Severity.WARNING)
     stands_at = float(finding.what.split("stands at ")[1].split()[0])
     assert stands_at == pytest.approx(25.0, abs=0.05)  # the noise

@@ -3,7 +3,16 @@
 import numpy as np
 
 from hitchid._support.records import Severity
-from hitchid.logs.audit.context import AuditFinding, CampaignContext, RecordContext, travel
+from hitchid._support.tables import count
+from hitchid.logs.audit.context import (
+    MAX_SAMPLES,
+    AuditFinding,
+    CampaignContext,
+    Findings,
+    RecordContext,
+    fast_step,
+    travel,
+)
 from hitchid.logs.not_measured import NOT_MEASURED
 from hitchid.logs.record import COMMAND, DISPLACEMENT, RAMP
 from hitchid.logs.units import UNITS
@@ -13,24 +22,20 @@ from hitchid.logs.units import UNITS
 UNLIKE_STEPS = 1.5  # ratio of sampling times; above it, resampling interpolates or smooths motion (chosen)
 MUCH_JITTER = 0.10  # of the sampling time: a tenth of the one-step motion at working speed
 FEWEST_SAMPLES_A_STROKE = 20  # samples per stroke at full speed, to resolve dead time and lag (chosen)
-FAST_FRACTION = 0.99  # quantile of one-step motions; the rest may be spikes (chosen)
 # s: a hydraulic axis crosses its stroke in seconds, and none moves from rest and back in less (chosen).
 LONGEST_STEP_S, SHORTEST_TEST_S = 1.0, 0.1
 MUCH_LOST = 0.05  # of the samples, or of the time (chosen)
-MAX_DISPLACEMENTS = 2**20  # samples examined, to limit time and memory (chosen)
 
 
-def steps(context: RecordContext) -> list[AuditFinding]:
+def steps(context: RecordContext) -> Findings:
     """Find logs that were resampled.
 
     From another sampling time: a note; a warning beyond a factor of 1.5, where interpolation distorts motion.
     For clock jitter: a note; a warning from 10 %, a position error of a tenth of the one-step motion at
     working speed. For lost samples that were interpolated: a note; a warning from 5 % of all samples.
     """
-    findings = []
-    clock = context.record.clock
+    clock, step_s = context.record.clock, context.record.step_s
     if clock.logged_step_s is not None:
-        step_s = context.record.step_s
         step_differs = not 1 / UNLIKE_STEPS < clock.logged_step_s / step_s < UNLIKE_STEPS
         severity = Severity.WARNING if step_differs else Severity.NOTE
         what = (
@@ -38,15 +43,13 @@ def steps(context: RecordContext) -> list[AuditFinding]:
             "it was resampled"
         )
         advice = "log every test with the same sampling time"
-        findings.append(context.finding("sampling", severity, what, advice, signal=""))
+        yield context.finding("sampling", severity, what, advice, signal="")
+    # One reason is enough: the notice of a jittering clock names its gaps, too.
     if context.quality.jitter is not None:
         severity = Severity.WARNING if context.quality.jitter >= MUCH_JITTER else Severity.NOTE
-        what = (
-            f"the clock jitters by {context.quality.jitter:.1%} of {context.record.step_s:g} s; "
-            "the log was resampled"
-        )
+        what = f"the clock jitters by {context.quality.jitter:.1%} of {step_s:g} s; the log was resampled"
         advice = "log on the controller's clock, or record the time of each sample"
-        findings.append(context.finding("sampling", severity, what, advice, signal=""))
+        yield context.finding("sampling", severity, what, advice, signal="")
     elif clock.longest_gap_s:
         severity = Severity.WARNING if clock.interpolated_share >= MUCH_LOST else Severity.NOTE
         what = (
@@ -54,11 +57,10 @@ def steps(context: RecordContext) -> list[AuditFinding]:
             f"the longest gap is {clock.longest_gap_s:.3g} s"
         )
         advice = "check why the logger lost samples"
-        findings.append(context.finding("sampling", severity, what, advice, signal=""))
-    return findings
+        yield context.finding("sampling", severity, what, advice, signal="")
 
 
-def coarse(context: RecordContext) -> list[AuditFinding]:
+def coarse(context: RecordContext) -> Findings:
     """Find logs with fewer than 20 samples for the whole travel at working speed.
 
     With s the 99th percentile of |y[k+1] − y[k]|, where above noise, and R the record's range, a stroke at
@@ -66,92 +68,78 @@ def coarse(context: RecordContext) -> list[AuditFinding]:
     percentile excludes single spikes.
     """
     quality = context.quality
-    displacement = context.record.displacement[:MAX_DISPLACEMENTS]
+    displacement = context.record.displacement[:MAX_SAMPLES]
     if displacement.size < 2 or not quality.peak_to_peak > quality.noise_bound:
-        return []
-    steps = np.abs(np.diff(displacement))
-    percentile_index = int(FAST_FRACTION * (steps.size - 1))
-    steps.partition(percentile_index)
-    fast_step = float(steps[percentile_index])
-    if not (fast_step > quality.noise_bound and fast_step * FEWEST_SAMPLES_A_STROKE > quality.peak_to_peak):
-        return []
-    share = fast_step / quality.peak_to_peak
+        return
+    motion = fast_step(np.diff(displacement))
+    if not (motion > quality.noise_bound and motion * FEWEST_SAMPLES_A_STROKE > quality.peak_to_peak):
+        return
     what = (
-        f"from one sample to the next the piston moves by up to {fast_step:.3g} {quality.unit}, "
-        f"{share:.0%} of its range of {quality.peak_to_peak:.4g} {quality.unit}"
+        f"from one sample to the next the piston moves by up to {motion:.3g} {quality.unit}, "
+        f"{motion / quality.peak_to_peak:.0%} of its range of {quality.peak_to_peak:.4g} {quality.unit}"
     )
     advice = f"log with a shorter sampling time: at least {FEWEST_SAMPLES_A_STROKE} samples per stroke"
-    return [context.finding("sampling", Severity.WARNING, what, advice)]
+    yield context.finding("sampling", Severity.WARNING, what, advice)
 
 
-def time_unit(context: CampaignContext) -> list[AuditFinding]:
+def time_unit(context: CampaignContext) -> Findings:
     """Find campaigns whose time has probably another unit: too slow, or too short, for a hydraulic axis."""
     step_s = context.tests[0].record.step_s
     longest_s = max(test.quality.duration_s for test in context.tests)
     if longest_s >= SHORTEST_TEST_S and step_s < LONGEST_STEP_S:
-        return []
+        return
     unit = "ms or us" if step_s >= LONGEST_STEP_S else "s"
     what = (
         f"the sampling time is {step_s:.3g} s, and the longest log lasts {longest_s:.3g} s: "
         f"the time is probably in {unit}"
     )
-    return [AuditFinding("units", Severity.WARNING, "", "", (), what, "check the unit of the time")]
+    yield context.finding("units", Severity.WARNING, what, "check the unit of the time", signal="")
 
 
-def not_measured(context: RecordContext) -> list[AuditFinding]:
+def not_measured(context: RecordContext) -> Findings:
     """Find logs with samples that no sensor measured, which reading has left out."""
-    return [
-        context.finding(
-            "not measured",
-            notice.severity,
-            notice.sentence,
-            "check the sensor and the logger; the samples are used nowhere",
-            signal=notice.place,
-        )
-        for notice in context.record.notices
-        if notice.code == NOT_MEASURED
-    ]
+    advice = "check the sensor and the logger; the samples are used nowhere"
+    for notice in context.record.notices:
+        if notice.code == NOT_MEASURED:
+            what, signal = notice.sentence, notice.place
+            yield context.finding("not measured", notice.severity, what, advice, signal=signal)
 
 
-def gaps(context: CampaignContext) -> list[AuditFinding]:
+def gaps(context: CampaignContext) -> Findings:
     """Find logs that were cut at gaps, and the time lost.
 
     The parts of a cut log are called log@1, log@2 and so on. A part begins in motion:
     a note; a warning if more than 5 % of the log's time is lost.
     """
+    # Reading names the parts of a cut log log@1, log@2: a user may call a log a@b as well.
     tests_by_log: dict[str, list[RecordContext]] = {}
     for test in context.tests:
         base, separator, number = test.record.name.rpartition("@")
         if separator and number.isdecimal():
             tests_by_log.setdefault(base, []).append(test)
-    findings = []
     for base, parts in tests_by_log.items():
         tests = sorted(parts, key=lambda test: test.record.start_s)
         begins = [test.record.start_s for test in tests]
         ends = [test.record.start_s + test.quality.duration_s for test in tests]
-        lost = [
-            (round(end, 6), round(begin, 6))
-            for end, begin in zip(ends[:-1], begins[1:], strict=True)
-            if begin > end
-        ]
+        between = zip(ends[:-1], begins[1:], strict=True)
+        lost = [(round(end, 6), round(begin, 6)) for end, begin in between if begin > end]
         total, missing = ends[-1] - begins[0], sum(b - a for a, b in lost)
         if not lost or not total > 0:
             continue
         severity = Severity.WARNING if missing > MUCH_LOST * total else Severity.NOTE
         what = (
-            f"the log '{base}' has {len(lost)} gap{'s' * (len(lost) > 1)}: "
+            f"the log '{base}' has {count(len(lost), 'gap')}: "
             f"{missing:.3g} s of {total:.4g} s are lost ({missing / total:.1%})"
         )
         advice = (
             "check why the logger lost samples; a part after a gap is used from its first stroke out of rest"
         )
-        findings.append(AuditFinding("gaps", severity, tests[0].record.name, "", tuple(lost), what, advice))
-    return findings
+        yield AuditFinding("gaps", severity, tests[0].record.name, "", tuple(lost), what, advice)
 
 
 LONGEST_LAG_S = 1.0  # s, search range to either side (chosen)
 MAX_LAGS = 2000  # samples, search range to either side (chosen)
-MAX_SAMPLES = 2**18  # samples examined, to limit time and memory (chosen)
+MAX_LAG_SAMPLES = 2**18  # samples examined, to limit time and memory (chosen)
 LEAST_CORRELATION = 0.7  # of command and current at the best lag (chosen)
 LEAST_SHARPNESS = 0.02  # decrease of the correlation from the peak to both ends (chosen)
 LEAD_SAMPLES = 1.0  # samples; lead explained by the order in which a logger samples
@@ -162,7 +150,7 @@ FEWEST_BEFORE = 5  # samples at rest before the command (chosen)
 CREEP_FRACTION = 0.3  # of working speed; slower motion is creep (chosen)
 
 
-def current_lag(context: RecordContext) -> list[AuditFinding]:
+def current_lag(context: RecordContext) -> Findings:
     """Find the lag of each measured current behind its command.
 
     The lag is where the correlation of command and current is largest within ±1 s, between samples by a
@@ -173,19 +161,15 @@ def current_lag(context: RecordContext) -> list[AuditFinding]:
     other is a note.
     """
     record = context.record
-    findings = []
     for role, unit in record.units.items():
         is_skipped = role in COMMAND.values() or role == DISPLACEMENT or role not in record.signals
+        # A slow ramp correlates with its current at any lag.
         if is_skipped or UNITS[unit].dimension != "current" or record.kind == RAMP:
             continue
-        choices = {f"the {direction} command": (direction,) for direction in record.directions} | {
-            "the commands": record.directions
-        }
-        lags = [
-            (fit[1], fit[0], name)
-            for name, directions in choices.items()
-            if (fit := _fit(context, directions, role))
-        ]
+        choices = {f"the {direction} command": (direction,) for direction in record.directions}
+        choices["the commands"] = record.directions  # one sensor in the supply of both coils
+        fits = {name: _fit(context, directions, role) for name, directions in choices.items()}
+        lags = [(fit[1], fit[0], name) for name, fit in fits.items() if fit]
         if not lags:
             continue
         _, lag, name = max(lags)
@@ -198,10 +182,7 @@ def current_lag(context: RecordContext) -> list[AuditFinding]:
             Severity.WARNING: "check the current filter and the clocks; the lag becomes dead time",
             Severity.NOTE: "no action needed: the lag is part of the model's dead time and time constant",
         }[severity]
-        findings.append(
-            context.finding("lag", severity, f"{role} {phrase} {abs(lag):.4f} s", advice, signal=role)
-        )
-    return findings
+        yield context.finding("lag", severity, f"{role} {phrase} {abs(lag):.4f} s", advice, signal=role)
 
 
 def _fit(context: RecordContext, directions: tuple[str, ...], role: str) -> tuple[float, float] | None:
@@ -210,8 +191,9 @@ def _fit(context: RecordContext, directions: tuple[str, ...], role: str) -> tupl
     if not active.any():
         return None
     max_lag = round(min(LONGEST_LAG_S / context.record.step_s, MAX_LAGS))
+    # A long rest before the first command holds no lag, only samples.
     first = max(0, int(np.argmax(active)) - 2 * max_lag)
-    window = slice(first, first + MAX_SAMPLES)
+    window = slice(first, first + MAX_LAG_SAMPLES)
     return lag_of(
         np.sum([np.abs(context.record.command(direction)[window]) for direction in directions], axis=0),
         context.record.signals[role][window],
@@ -234,6 +216,7 @@ def lag_of(command: np.ndarray, current: np.ndarray, *, step_s: float) -> tuple[
         return None
     peak = int(np.argmax(fit))
     top = float(fit[peak])
+    # A largest value at the end of the range is no peak: the lag lies beyond it, or there is none.
     if not 0 < peak < fit.size - 1 or top < LEAST_CORRELATION:
         return None
     if top - float(max(fit[0], fit[-1])) < LEAST_SHARPNESS:
@@ -246,30 +229,29 @@ def lag_of(command: np.ndarray, current: np.ndarray, *, step_s: float) -> tuple[
 
 def _correlations(command: np.ndarray, current: np.ndarray, lags: np.ndarray) -> np.ndarray:
     """Return the correlation of c[k] and m[k + l] over the overlapping samples, for lags l, shape [L]."""
-    count = command.size
+    samples = command.size
     # Scaled to 1, so that rounding errors are not counted as variance.
     a = (command - command.mean()) / np.max(np.abs(command - command.mean()))
     b = (current - current.mean()) / np.max(np.abs(current - current.mean()))
-    length = 1 << int(count + lags.size).bit_length()
+    # So long that the cyclic correlation of the transform does not wrap around within the lags.
+    length = 1 << int(samples + lags.size).bit_length()
     cross_spectrum = np.conj(np.fft.rfft(a, length)) * np.fft.rfft(b, length)
     product = np.fft.irfft(cross_spectrum, length)[lags]
     lead_samples, lag_samples = np.maximum(-lags, 0), np.maximum(lags, 0)
 
     def sums(values: np.ndarray, first: np.ndarray, skipped: np.ndarray) -> np.ndarray:
         total = np.concatenate([[0.0], np.cumsum(values)])
-        return total[count - skipped] - total[first]
+        return total[samples - skipped] - total[first]
 
-    overlap = count - np.abs(lags)
-    mean_a, mean_b = (
-        sums(a, lead_samples, lag_samples) / overlap,
-        sums(b, lag_samples, lead_samples) / overlap,
-    )
+    overlap = samples - np.abs(lags)
+    mean_a = sums(a, lead_samples, lag_samples) / overlap
+    mean_b = sums(b, lag_samples, lead_samples) / overlap
     spread_a = sums(a * a, lead_samples, lag_samples) / overlap - mean_a * mean_a
     spread_b = sums(b * b, lag_samples, lead_samples) / overlap - mean_b * mean_b
     return (product / overlap - mean_a * mean_b) / np.sqrt(spread_a * spread_b)
 
 
-def motion_before_command(context: CampaignContext) -> list[AuditFinding]:
+def motion_before_command(context: CampaignContext) -> Findings:
     """Find tests in which the piston moves before any command changes.
 
     Motion is a change above 6 σ + 2 q and 0.5 % of the campaign's range before a command first changes by 1 %
@@ -280,13 +262,12 @@ def motion_before_command(context: CampaignContext) -> list[AuditFinding]:
     tests = [test for test in context.tests if test.record.name.rpartition("@")[2] in ("1", test.record.name)]
     onsets = [(test, _onset(test)) for test in tests]
     from_rest = [(test, onset) for test, onset in onsets if onset is not None and onset >= FEWEST_BEFORE]
-    early = [
-        (test, onset, start) for test, onset in from_rest if (start := _motion_start(test, onset)) is not None
-    ]
+    starts = [(test, onset, _motion_start(test, onset)) for test, onset in from_rest]
+    early = [(test, onset, start) for test, onset, start in starts if start is not None]
     creeps = [_creeps(*entry) for entry in early]
+    # One test may have begun in motion; where half of them do, the clocks are the common cause.
     at_speed = creeps.count(False)
     clocks_disagree = at_speed >= 2 and 2 * at_speed >= len(from_rest)
-    findings = []
     for (test, onset, start), creeping in zip(early, creeps, strict=True):
         travelled = float(test.record.displacement[onset] - test.record.displacement[0])
         verb = "creeps" if creeping else "moves"
@@ -301,10 +282,7 @@ def motion_before_command(context: CampaignContext) -> list[AuditFinding]:
             if creeping
             else "check that command and displacement are logged on one clock, or start tests at rest"
         )
-        findings.append(
-            test.finding("motion before command", severity, what, advice, intervals=[(start, onset + 1)])
-        )
-    return findings
+        yield test.finding("motion before command", severity, what, advice, intervals=[(start, onset + 1)])
 
 
 def _onset(context: RecordContext) -> int | None:
@@ -313,6 +291,7 @@ def _onset(context: RecordContext) -> int | None:
     for direction in record.directions:
         command = record.command(direction)
         changed = np.abs(command - command[0]) > CHANGED_FRACTION * context.scales[direction]
+        # A log that begins under command says nothing about what comes first.
         if context.active(direction)[0]:
             return None
         if changed.any():

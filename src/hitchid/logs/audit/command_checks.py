@@ -6,17 +6,17 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchid._support.records import Severity, short_repr
+from hitchid._support.tables import count
 from hitchid.logs.audit.context import (
-    AuditFinding,
     CampaignContext,
+    Findings,
     RecordContext,
-    command_unit,
     join_names,
     travel,
 )
 from hitchid.logs.kinds import ACTIVE_FRACTION
 from hitchid.logs.not_measured import true_intervals
-from hitchid.logs.record import COMMAND, CYCLE, DIRECTIONS, DISPLACEMENT, LIFTING, LOWERING, RAMP, Record
+from hitchid.logs.record import COMMAND, CYCLE, DIRECTIONS, LIFTING, LOWERING, RAMP, Record
 
 # Check for a signed command that rests at a reading other than zero and moves the piston both ways.
 
@@ -42,6 +42,7 @@ def rest_level(runs: Sequence[CommandResponse]) -> float | None:
     and for 1 % of the time each, the displacement must move in opposite directions, and at it less than a
     fifth as fast as in either: this excludes a one-sided command with a frequent level.
     """
+    # All logs together: each of them may rest at another of its levels.
     commands = np.concatenate([run.command for run in runs])
     command_range = float(np.ptp(commands))
     if not 0 < command_range < np.inf:
@@ -68,6 +69,7 @@ def rest_level(runs: Sequence[CommandResponse]) -> float | None:
 
 def _most_frequent(samples: np.ndarray) -> tuple[float, float]:
     """Return the most frequent value (of noisy samples the median of the fullest bin) and its share."""
+    # An exact reading first: a bin of a histogram would move the zero by part of its width.
     values, counts = np.unique(samples, return_counts=True)
     most_frequent = int(np.argmax(counts))
     if counts[most_frequent] >= RESTING_FRACTION * samples.size:
@@ -78,7 +80,7 @@ def _most_frequent(samples: np.ndarray) -> tuple[float, float]:
     return float(np.median(inside)), inside.size / samples.size
 
 
-def neutral(context: CampaignContext) -> list[AuditFinding]:
+def neutral(context: CampaignContext) -> Findings:
     """Find a signed command that rests at a constant above 5 % of its largest reading.
 
     Such a command has the sign of one direction even at rest: a fault where it never changes its sign, since
@@ -86,8 +88,9 @@ def neutral(context: CampaignContext) -> list[AuditFinding]:
     """
     records = [test.record for test in context.tests]
     signed = [_signed(record) for record in records]
+    # Two commands that are on at once are no halves of one signed column.
     if any(command is None for command in signed):
-        return []
+        return
     runs = [
         CommandResponse(command, record.displacement, record.step_s)
         for command, record in zip(signed, records, strict=True)
@@ -95,10 +98,10 @@ def neutral(context: CampaignContext) -> list[AuditFinding]:
     ]
     level, largest = rest_level(runs), max(context.scales.values())
     if level is None or abs(level) <= ACTIVE_FRACTION * largest:
-        return []
+        return
     unseen = all(np.min(run.command) * np.max(run.command) >= 0 for run in runs)
-    direction = LIFTING if LIFTING in records[0].directions else LOWERING
-    unit = command_unit(records[0], direction)
+    direction = context.directions[0]
+    unit = context.command_unit(direction)
     consequence = ", so one direction is identified from motion in both" if unseen else ""
     what = (
         f"the command rests at {level:.6g} {unit} and moves the piston in both directions about this value"
@@ -106,7 +109,7 @@ def neutral(context: CampaignContext) -> list[AuditFinding]:
     )
     advice = f"set zero = {level:.6g} for the command's column in campaign.toml"
     severity = Severity.FAULT if unseen else Severity.WARNING
-    return [AuditFinding("neutral", severity, "", COMMAND[direction], (), what, advice)]
+    yield context.finding("neutral", severity, what, advice, signal=COMMAND[direction])
 
 
 def _signed(record: Record) -> np.ndarray | None:
@@ -124,7 +127,7 @@ CLEAR_FRACTION = 0.02  # of the campaign's range; smallest travel with a sign (c
 CLEAR_OF_TYPICAL = 0.25  # of the median travel; smallest opposite travel of a test (chosen)
 
 
-def signs(context: CampaignContext) -> list[AuditFinding]:
+def signs(context: CampaignContext) -> Findings:
     """Find directions whose displacement has the wrong sign.
 
     The sign of a direction is that of the median travel of its tests while only its command is on, where the
@@ -133,39 +136,34 @@ def signs(context: CampaignContext) -> list[AuditFinding]:
     signs reversed are a warning: either the sensor measures downwards, which identification allows, or the
     commands are swapped.
     """
-    findings: list[AuditFinding] = []
     majority_sign: dict[str, int] = {}
-    for direction in context.tests[0].record.directions:
+    for direction in context.directions:
         travels = _travels(context, direction)
         if not travels:
             continue
-        middle = float(np.median([signed_travel for _, signed_travel in travels]))
+        # The median: one log with swapped columns must not turn the sign of all.
+        middle = float(np.median([way for _, way in travels]))
         majority_sign[direction] = sign = 1 if middle >= 0 else -1
         typical = abs(middle)
-        opposed = [
-            (test, signed_travel)
-            for test, signed_travel in travels
-            if signed_travel * sign < -CLEAR_OF_TYPICAL * typical
-        ]
+        opposed = [(test, way) for test, way in travels if way * sign < -CLEAR_OF_TYPICAL * typical]
         advice = "check the sign of the displacement and the assignment of the commands in "
         if len(travels) >= 3 and 2 * len(opposed) < len(travels):
-            for test, signed_travel in opposed:
+            for test, way in opposed:
                 what = (
-                    f"the displacement {_verb(-sign)} by {abs(signed_travel):.4g} {test.quality.unit} while "
+                    f"the displacement {_verb(-sign)} by {abs(way):.4g} {test.quality.unit} while "
                     f"{direction} is commanded; in most of the {len(travels)} tests of {direction} it "
                     f"{_verb(sign)}"
                 )
-                findings.append(test.finding("sign", Severity.FAULT, what, f"{advice}this log, or remove it"))
+                yield test.finding("sign", Severity.FAULT, what, f"{advice}this log, or remove it")
         elif opposed:
             names = join_names([test.record.name for test, _ in opposed])
             what = (
                 f"in {direction} the displacement {_verb(-sign)} in {len(opposed)} of {len(travels)} tests "
                 f"({names}) and {_verb(sign)} in the others"
             )
-            advice += "each test"
-            findings.append(AuditFinding("sign", Severity.FAULT, "", DISPLACEMENT, (), what, advice))
+            yield context.finding("sign", Severity.FAULT, what, f"{advice}each test")
     if set(majority_sign) != set(DIRECTIONS) or majority_sign == {LIFTING: 1, LOWERING: -1}:
-        return findings
+        return
     severity = Severity.WARNING
     what = "the displacement decreases in lifting and increases in lowering"
     advice = (
@@ -178,19 +176,15 @@ def signs(context: CampaignContext) -> list[AuditFinding]:
         severity = Severity.FAULT
         what = f"the displacement {_verb(majority_sign[LIFTING])} in lifting and in lowering"
         advice = f"check the columns assigned to {COMMAND[LIFTING]} and {COMMAND[LOWERING]} in campaign.toml"
-    return [*findings, AuditFinding("sign", severity, "", DISPLACEMENT, (), what, advice)]
+    yield context.finding("sign", severity, what, advice)
 
 
 def _travels(context: CampaignContext, direction: str) -> list[tuple[RecordContext, float]]:
     """Return the tests with significant travel under a direction, and that travel."""
-    travels = []
-    for test in context.tests:
-        if test.record.kind not in (direction, CYCLE, RAMP):
-            continue
-        signed_travel = travel(test, direction)
-        if abs(signed_travel) > max(test.quality.noise_bound, CLEAR_FRACTION * test.campaign_range):
-            travels.append((test, signed_travel))
-    return travels
+    tests = [test for test in context.tests if test.record.kind in (direction, CYCLE, RAMP)]
+    travels = [(test, travel(test, direction)) for test in tests]
+    least = CLEAR_FRACTION * context.campaign_range
+    return [(test, way) for test, way in travels if abs(way) > max(test.quality.noise_bound, least)]
 
 
 def _verb(sign: int) -> str:
@@ -201,7 +195,7 @@ SHORT_OVERLAP_S = 0.1  # s; overlap that filters and ramps of a controller cause
 IDLE_FRACTION = 0.01  # of full scale; smallest bias or sensor offset reported (chosen)
 
 
-def both_valves(context: RecordContext) -> list[AuditFinding]:
+def both_valves(context: RecordContext) -> Findings:
     """Find where both commands are above 5 % of full scale.
 
     Filters and ramps of a controller overlap by up to 0.1 s at a change of direction: a note. With a longer
@@ -209,59 +203,54 @@ def both_valves(context: RecordContext) -> list[AuditFinding]:
     """
     record = context.record
     if len(record.directions) < 2:
-        return []
-    both_active = context.active(record.directions[0])
-    both_active &= context.active(record.directions[1])
-    starts, stops = true_intervals(both_active)
+        return
+    starts, stops = true_intervals(context.active(LIFTING) & context.active(LOWERING))
     if starts.size == 0:
-        return []
+        return
     longest = int(np.max(stops - starts)) * record.step_s
     time = int(np.sum(stops - starts)) * record.step_s
     severity = Severity.NOTE if longest <= SHORT_OVERLAP_S else Severity.WARNING
     what = (
-        f"both commands are active {starts.size} time{'s' * (starts.size > 1)}, {time:.3g} s in total, "
-        f"at most {longest:.3g} s at once, first at {record.start_s + starts[0] * record.step_s:.6g} s"
+        f"both commands are active {count(starts.size, 'time')}, {time:.3g} s in total, "
+        f"at most {longest:.3g} s at once, first at {context.time_s(starts[0]):.6g} s"
     )
     advice = "end one command before the other starts; in an overlap the lowering command is used"
     intervals = list(zip(starts.tolist(), stops.tolist(), strict=True))
-    return [context.finding("both valves", severity, what, advice, signal="", intervals=intervals)]
+    yield context.finding("both valves", severity, what, advice, signal="", intervals=intervals)
 
 
-def idle_commands(context: CampaignContext) -> list[AuditFinding]:
+def idle_commands(context: CampaignContext, direction: str) -> Findings:
     """Find commands that are not zero when idle.
 
     A warning if the smallest |c| of all logs is above 5 % of full scale: the command is never off, as with a
     4–20 mA signal, and the dead zone is measured from a wrong zero. Else a note if the median of |c| without
     command is above 1 % of full scale: a bias or a sensor's offset.
     """
-    findings = []
-    for direction in context.tests[0].record.directions:
-        scale = context.scales[direction]
-        smallest = min(float(np.min(np.abs(test.record.command(direction)))) for test in context.tests)
-        if not scale > 0:
-            continue
-        unit, signal = command_unit(context.tests[0].record, direction), COMMAND[direction]
-        if smallest > ACTIVE_FRACTION * scale:
-            what = (
-                f"the {direction} command is never below {smallest:.3g} {unit} in any log, "
-                f"{smallest / scale:.0%} of the largest"
-            )
-            advice = (
-                "subtract the offset from the command, or log one test that starts at command "
-                "zero: the offset makes the dead zone too large"
-            )
-            findings.append(AuditFinding("idle command", Severity.WARNING, "", signal, (), what, advice))
-            continue
-        # A ramp crosses zero.
-        idle = [
-            np.abs(test.record.command(direction)[~test.any_active()])
-            for test in context.tests
-            if test.record.kind != RAMP
-        ]
-        levels = [float(np.median(command)) for command in idle if command.size]
-        level = float(np.median(levels)) if levels else 0.0
-        if level > IDLE_FRACTION * scale:
-            what = f"the idle {direction} command is {level:.3g} {unit}, {level / scale:.1%} of full scale"
-            advice = "check the zero of the current sensor and the bias of the valve"
-            findings.append(AuditFinding("idle command", Severity.NOTE, "", signal, (), what, advice))
-    return findings
+    scale, unit = context.scales[direction], context.command_unit(direction)
+    # In any log: one test that begins at zero shows that the offset is none.
+    smallest = min(float(np.min(np.abs(test.record.command(direction)))) for test in context.tests)
+    if not scale > 0:
+        return
+    if smallest > ACTIVE_FRACTION * scale:
+        what = (
+            f"the {direction} command is never below {smallest:.3g} {unit} in any log, "
+            f"{smallest / scale:.0%} of the largest"
+        )
+        advice = (
+            "subtract the offset from the command, or log one test that starts at command "
+            "zero: the offset makes the dead zone too large"
+        )
+        yield context.finding("idle command", Severity.WARNING, what, advice, signal=COMMAND[direction])
+        return
+    # A ramp crosses zero.
+    idle = [
+        np.abs(test.record.command(direction)[~test.any_active()])
+        for test in context.tests
+        if test.record.kind != RAMP
+    ]
+    levels = [float(np.median(command)) for command in idle if command.size]
+    level = float(np.median(levels)) if levels else 0.0
+    if level > IDLE_FRACTION * scale:
+        what = f"the idle {direction} command is {level:.3g} {unit}, {level / scale:.1%} of full scale"
+        advice = "check the zero of the current sensor and the bias of the valve"
+        yield context.finding("idle command", Severity.NOTE, what, advice, signal=COMMAND[direction])

@@ -1,6 +1,6 @@
 """Input of the checks: a record with its quality, and the campaign."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from math import isfinite
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from hitchid._support.records import Severity, short_repr
 from hitchid.logs.campaign import Campaign
-from hitchid.logs.kinds import ACTIVE_FRACTION, full_scales
-from hitchid.logs.record import COMMAND, DISPLACEMENT, Record
+from hitchid.logs.kinds import ACTIVE_FRACTION, full_scales, ramp_direction
+from hitchid.logs.record import COMMAND, DISPLACEMENT, RAMP, Record
 from hitchid.logs.resampling import GRID_TOLERANCE
 
 # Findings of an audit, and the time intervals they concern.
@@ -68,16 +68,7 @@ class AuditFinding:
         }
 
 
-def spans_of(record: Record, stretches: Iterable[tuple[int, int]]) -> tuple[tuple[float, float], ...]:
-    """Return times of first and last sample of `start:stop`, s; at most the 50 longest intervals."""
-    selected = list(stretches)
-    if len(selected) > MAX_SPANS:
-        selected = sorted(sorted(selected, key=lambda interval: interval[0] - interval[1])[:MAX_SPANS])
-    times = [
-        (record.start_s + int(start) * record.step_s, record.start_s + (int(stop) - 1) * record.step_s)
-        for start, stop in selected
-    ]
-    return tuple((round(a, 6), round(b, 6)) for a, b in times if isfinite(a) and isfinite(b))
+Findings = Iterator[AuditFinding]  # what every check yields
 
 
 # Quality of a record's displacement: sampling, range, quantum and noise.
@@ -87,6 +78,7 @@ GRID_DEVIATION = 0.05  # of the quantum; largest distance from the grid (chosen)
 FEWEST_VALUES = 3  # distinct values that make a grid (chosen)
 MAX_STEPS = 1e7  # quanta in the range; a smaller quantum is rounding of a float
 MIN_TURNS = 10  # starts and stops; with fewer, motion may be at one constant speed (chosen)
+FAST_FRACTION = 0.99  # quantile of one-step motions; the rest may be spikes (chosen)
 # Median of |x| and standard deviation of second differences of white normal noise x of unit variance.
 NORMAL_MEDIAN = 0.6744897501960817
 SECOND_DIFFERENCE = 6.0**0.5
@@ -145,12 +137,6 @@ def quality(record: Record) -> Quality:
     With d²y = y[k+1] − 2 y[k] + y[k−1], the noise is σ² = (median|d²y| / 0.6745)² / 6 − q²/12: motion is
     smooth from sample to sample, white noise is not, and rounding to a step q adds q²/12. Filtered
     (coloured) noise is underestimated.
-
-    Args:
-        record: any record.
-
-    Returns:
-        Figures in the record's own units.
     """
     displacement = record.displacement
     with np.errstate(all="ignore"):
@@ -210,12 +196,19 @@ def _noise(displacement: np.ndarray, quantum: float | None) -> float:
     if quantum is None:
         return median / NORMAL_MEDIAN / SECOND_DIFFERENCE
     # The median of rounded values is itself rounded: values of one step are taken as uniform over it.
+    # A magnitude below half a step is rounded to zero: that level is half as wide.
     low, width = (median - quantum / 2, quantum) if median > quantum / 2 else (0.0, quantum / 2)
     below = float(np.mean(second_difference < median - quantum / 2))
     on = float(np.mean(np.abs(second_difference - median) < quantum / 2))
     median = low + width * (0.5 - below) / on
     spread = median / NORMAL_MEDIAN / SECOND_DIFFERENCE
     return float(np.sqrt(max(0.0, spread * spread - quantum * quantum / 12)))
+
+
+def fast_step(steps: np.ndarray) -> float:
+    """Return the 99th percentile of the magnitude of one-step motions."""
+    # One of the samples, not a value between two: the next larger one may be a spike.
+    return float(np.quantile(np.abs(steps), FAST_FRACTION, method="lower"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,10 +233,7 @@ class RecordContext:
 
     def any_active(self) -> np.ndarray:
         """Return where any command is above 5 % of full scale, shape [N]."""
-        first, *rest = (self.active(direction) for direction in self.record.directions)
-        for other in rest:
-            first |= other
-        return first
+        return np.logical_or.reduce([self.active(direction) for direction in self.record.directions])
 
     def finding(
         self,
@@ -253,12 +243,20 @@ class RecordContext:
         advice: str,
         *,
         signal: str = DISPLACEMENT,
-        intervals: list[tuple[int, int]] | None = None,
+        intervals: Iterable[tuple[int, int]] = (),
     ) -> AuditFinding:
-        """Return a finding about this record, at samples `start:stop`."""
-        return AuditFinding(
-            check, severity, self.record.name, signal, spans_of(self.record, intervals or []), what, advice
-        )
+        """Return a finding about this record, at samples `start:stop`; at most the 50 longest intervals."""
+        selected = list(intervals)
+        if len(selected) > MAX_SPANS:
+            selected = sorted(sorted(selected, key=lambda interval: interval[0] - interval[1])[:MAX_SPANS])
+        times = [(self.time_s(start), self.time_s(int(stop) - 1)) for start, stop in selected]
+        # JSON has no infinite times: such a finding is about the whole record.
+        spans = tuple((round(a, 6), round(b, 6)) for a, b in times if isfinite(a) and isfinite(b))
+        return AuditFinding(check, severity, self.record.name, signal, spans, what, advice)
+
+    def time_s(self, sample: int | np.integer) -> float:
+        """Return the time of a sample on the log's own clock, s."""
+        return self.record.start_s + int(sample) * self.record.step_s
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,15 +268,36 @@ class CampaignContext:
     scales: Mapping[str, float]
     campaign_range: float
 
+    @property
+    def directions(self) -> tuple[str, ...]:
+        """Directions that have a command, the same in every record of a campaign."""
+        return self.campaign.records[0].directions
+
     def of_kind(self, kind: str) -> list[RecordContext]:
         """Return the contexts of the records of one kind."""
         return [test for test in self.tests if test.record.kind == kind]
+
+    def ramps(self, direction: str) -> list[RecordContext]:
+        """Return the contexts of the slow ramps that excite a direction."""
+        return [test for test in self.of_kind(RAMP) if ramp_direction(test.record) == direction]
+
+    def command_unit(self, direction: str) -> str:
+        """Return the unit of a direction's command as printed after a number."""
+        unit = self.campaign.units[COMMAND[direction]]
+        return {"1": "(full = 1)", "percent": "%"}.get(unit, unit)
+
+    def finding(
+        self, check: str, severity: Severity, what: str, advice: str, *, signal: str = DISPLACEMENT
+    ) -> AuditFinding:
+        """Return a finding about the whole campaign."""
+        return AuditFinding(check, severity, "", signal, (), what, advice)
 
 
 def campaign_context(campaign: Campaign) -> CampaignContext:
     """Return the context of a campaign with at least one record."""
     scales = full_scales(campaign.records)
     qualities = [quality(record) for record in campaign.records]
+    # Of all logs: what is coarse or noisy is so beside the whole stroke, not beside one short test.
     lowest = min(test_quality.lowest for test_quality in qualities)
     campaign_range = float(np.float64(max(test_quality.highest for test_quality in qualities)) - lowest)
     tests = tuple(
@@ -286,12 +305,6 @@ def campaign_context(campaign: Campaign) -> CampaignContext:
         for record, test_quality in zip(campaign.records, qualities, strict=True)
     )
     return CampaignContext(campaign, tests, scales, campaign_range)
-
-
-def command_unit(record: Record, direction: str) -> str:
-    """Return the unit of a direction's command as printed after a number."""
-    unit = record.units[COMMAND[direction]]
-    return {"1": "(full = 1)", "percent": "%"}.get(unit, unit)
 
 
 def travel(context: RecordContext, direction: str) -> float:
@@ -305,6 +318,7 @@ def travel(context: RecordContext, direction: str) -> float:
     for other in record.directions:
         if other != direction:
             only_active &= ~context.active(other)
+    # The command at a sample moves the piston until the next one.
     signs = np.sign(record.command(direction)[:-1])
     signs *= only_active[:-1]
     # Two scalar products need no array of differences.

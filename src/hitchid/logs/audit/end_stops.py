@@ -8,10 +8,9 @@ import numpy as np
 
 from hitchid._support.records import Severity
 from hitchid.logs.audit.context import (
-    AuditFinding,
     CampaignContext,
+    Findings,
     RecordContext,
-    command_unit,
     join_names,
     quality,
     travel,
@@ -88,9 +87,11 @@ def find_end_stop(
     drives = [_drive(record, direction, sign) for record in records if direction in record.directions]
     if not drives:
         return None
+    # Without spikes: one sample beyond the stop would put all standstills short of the end.
     farthest = max(_without_spikes(drive.position) for drive in drives)
     span = farthest - min(-_without_spikes(-drive.position) for drive in drives)
     if known is None:
+        # Tests of one direction first: several that agree are better evidence than one standstill.
         known = _agreed_stall([record for record in records if record.kind == direction], direction, sign)
     if known is None:
         standing = _pressed_at_end(drives, farthest, span)
@@ -175,6 +176,7 @@ def _stall(record: Record, direction: str) -> int | None:
     window = max(2, round(STANDS_S / record.step_s))
     if not np.any(active):
         return None
+    # A weak command may be within the dead zone, where standing still means nothing.
     strong = command >= np.median(command[active])
     stop = int(np.flatnonzero(strong)[-1]) + 1
     displacement = record.displacement[:stop]
@@ -202,6 +204,7 @@ def _drive(record: Record, direction: str, sign: int) -> _Drive:
         window_filter(command, 2 * window + 1, mode="constant", origin=window)
         for window_filter in (minimum_filter1d, maximum_filter1d)
     )
+    # Unknown within the first window: infinite travel is no standstill.
     moved = np.full(position.size, np.inf)
     moved[window:] = position[window:] - position[:-window]
     return _Drive(record, position, least, most, moved, quality(record).noise_bound, window)
@@ -233,12 +236,12 @@ def _driven(context: CampaignContext) -> Iterator[tuple[str, int, list[RecordCon
             yield direction, 1 if ways > 0 else -1, tests
 
 
-def end_stops(context: CampaignContext) -> list[AuditFinding]:
+def end_stops(context: CampaignContext) -> Findings:
     """Find the logs that reach an end stop: a note, since identification leaves out samples at it.
 
     A stop that is said in `campaign.toml`, and that logs pass by 2 % of the range, is a warning.
     """
-    findings, tests = [], {test.record.name: test for test in context.tests}
+    tests = {test.record.name: test for test in context.tests}
     unit = context.tests[0].quality.unit
     stops = find_end_stops(context)
     for stop in stops.values():
@@ -250,19 +253,29 @@ def end_stops(context: CampaignContext) -> list[AuditFinding]:
                 where = f"stays at {stop.position:.5g} {unit}, an end stop, under command from"
                 extent = f", {seconds:.3g} s in total"
             else:
+                # It came to the stop without standing there: the nearest sample is the place.
                 way = np.abs(record.displacement - stop.position)
                 stretches, where, extent = [(int(np.argmin(way)), int(np.argmin(way)) + 1)], "", ""
                 where = f"reaches the end stop of {stop.position:.5g} {unit} at"
-            begin_s = record.start_s + stretches[0][0] * record.step_s
-            what = f"the piston {where} {begin_s:.6g} s{extent}"
+            what = f"the piston {where} {test.time_s(stretches[0][0]):.6g} s{extent}"
             advice = "end tests before the stop: samples at the stop contain no information on the valve"
-            findings.append(test.finding("end stop", Severity.NOTE, what, advice, intervals=stretches))
-    return findings + _passed(context) + _stalled(context, stops)
+            yield test.finding("end stop", Severity.NOTE, what, advice, intervals=stretches)
+    low, high = context.campaign.end_stops or (-np.inf, np.inf)
+    margin = PASSED_FRACTION * (high - low)
+    for test in context.tests:
+        lowest, highest = test.quality.lowest, test.quality.highest
+        if lowest < low - margin or highest > high + margin:
+            what = (
+                f"the piston goes from {lowest:.5g} to {highest:.5g} {test.quality.unit}, "
+                f"beyond end_stops = [{low:g}, {high:g}]"
+            )
+            advice = "check end_stops and the displacement's unit in campaign.toml"
+            yield test.finding("end stop", Severity.WARNING, what, advice)
+    yield from _stalled(context, stops)
 
 
-def _stalled(context: CampaignContext, stops: Mapping[str, EndStop]) -> list[AuditFinding]:
+def _stalled(context: CampaignContext, stops: Mapping[str, EndStop]) -> Findings:
     """Find tests that come to stand before an end stop, where a smaller command moves the piston on."""
-    findings = []
     for direction, sign, tests in _driven(context):
         drives = [_drive(test.record, direction, sign) for test in tests]
         # The command must be on over all of the 0.6 s: an idle current that is above zero moves nothing. Near
@@ -283,6 +296,7 @@ def _stalled(context: CampaignContext, stops: Mapping[str, EndStop]) -> list[Aud
             # A slow ramp begins to move anywhere; what does not change at all is a stuck sensor.
             if test.record.kind == RAMP or at_stop or not starts.size:
                 continue
+            # Where the strongest command fails, a weaker one that works elsewhere says most.
             strongest = max(
                 zip(starts, ends, strict=True), key=lambda rows: drive.command[slice(*rows)].max()
             )
@@ -299,29 +313,9 @@ def _stalled(context: CampaignContext, stops: Mapping[str, EndStop]) -> list[Aud
                 continue
             what = (
                 f"the piston stands at {sign * np.median(position):.5g} {test.quality.unit} under "
-                f"{command:.3g} {command_unit(test.record, direction)} of {direction}; less "
+                f"{command:.3g} {context.command_unit(direction)} of {direction}; less "
                 f"moves it on in {join_names(going_on)}"
             )
             advice = "check load, pressure and sensor; cut the interval out, or leave the test out"
             intervals = list(zip(starts.tolist(), ends.tolist(), strict=True))
-            findings.append(test.finding("stall", Severity.WARNING, what, advice, intervals=intervals))
-    return findings
-
-
-def _passed(context: CampaignContext) -> list[AuditFinding]:
-    """Find logs that pass an end stop that is said."""
-    if context.campaign.end_stops is None:
-        return []
-    low, high = context.campaign.end_stops
-    margin = PASSED_FRACTION * (high - low)
-    return [
-        test.finding(
-            "end stop",
-            Severity.WARNING,
-            f"the piston goes from {test.quality.lowest:.5g} to {test.quality.highest:.5g} "
-            f"{test.quality.unit}, beyond end_stops = [{low:g}, {high:g}]",
-            "check end_stops and the displacement's unit in campaign.toml",
-        )
-        for test in context.tests
-        if test.quality.lowest < low - margin or test.quality.highest > high + margin
-    ]
+            yield test.finding("stall", Severity.WARNING, what, advice, intervals=intervals)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from hitchid._support.records import Severity, short_repr
-from hitchid.logs.audit.context import AuditFinding, CampaignContext
+from hitchid.logs.audit.context import CampaignContext, Findings
 from hitchid.logs.record import COMMAND, IDLE, LIFTING, LOWERING, RAMP, Record
 
 ORDER = 10  # samples; past values of each signal in a regression (chosen)
@@ -59,13 +59,12 @@ class Feedback(NamedTuple):
         )
 
 
-def feedback(context: CampaignContext) -> list[AuditFinding]:
+def feedback(context: CampaignContext) -> Findings:
     """Find logs recorded under feedback, in which the command depends on past displacement: a warning."""
     evidence = feedback_of(context.campaign.records)
-    if evidence is None:
-        return []
-    role = COMMAND[context.tests[0].record.directions[0]]
-    return [AuditFinding("feedback", Severity.WARNING, "", role, (), evidence.sentence, ADVICE)]
+    if evidence is not None:
+        role = COMMAND[context.directions[0]]
+        yield context.finding("feedback", Severity.WARNING, evidence.sentence, ADVICE, signal=role)
 
 
 def feedback_of(records: Iterable[Record]) -> Feedback | None:
@@ -85,6 +84,7 @@ def feedback_of(records: Iterable[Record]) -> Feedback | None:
     pairs = [pair for record in records if (pair := _innovations(record)) is not None]
     if not pairs:
         return None
+    # A standard error over few tests is hardly one: tests are then cut into parts.
     parts = -(-CLUSTERS // len(pairs))
     rows = np.concatenate([_correlations(*pair, parts) for pair in pairs])
     mean, error = rows.mean(axis=0), rows.std(axis=0, ddof=1) / np.sqrt(len(rows))
@@ -107,6 +107,7 @@ def _innovations(record: Record) -> tuple[np.ndarray, np.ndarray] | None:
         if direction in record.directions:
             command += sign * record.command(direction)
     window = slice(0, MAX_SAMPLES)
+    # Changes: position and a held command are as good as random walks, which always correlate.
     command_change, change = np.diff(command[window]), np.diff(record.displacement[window])
     if np.count_nonzero(command_change) < LEAST_CHANGED * command_change.size:
         return None

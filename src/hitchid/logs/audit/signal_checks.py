@@ -11,12 +11,12 @@ from hitchid._support.records import Severity
 from hitchid.logs.audit.context import (
     AuditFinding,
     CampaignContext,
+    Findings,
     RecordContext,
-    command_unit,
     travel,
 )
 from hitchid.logs.not_measured import true_intervals
-from hitchid.logs.record import COMMAND, DIRECTIONS, DISPLACEMENT
+from hitchid.logs.record import COMMAND, DISPLACEMENT
 from hitchid.logs.units import UNITS
 
 # Check for a stuck or saturated sensor: constant displacement although the piston must move.
@@ -42,7 +42,7 @@ class _ConstantRun(NamedTuple):
     noiseless: bool
 
 
-def stuck_sensors(context: CampaignContext) -> list[AuditFinding]:
+def stuck_sensors(context: CampaignContext) -> Findings:
     """Find stuck or saturated sensors: constant although the piston must move.
 
     A constant run: exactly constant for at least 0.5 s and ten samples under a strong command, the expected
@@ -57,25 +57,26 @@ def stuck_sensors(context: CampaignContext) -> list[AuditFinding]:
     levels = [run.level for run in constant_runs]
     lowest = min(test.quality.lowest for test in context.tests)
     highest = max(test.quality.highest for test in context.tests)
+    # Twice at one extreme of all logs is no coincidence of a sensor that stuck.
     at_end = {level for level in (lowest, highest) if levels.count(level) >= 2}
-    findings = []
     for test in context.tests:
         runs = [run for run in constant_runs if run.test is test]
         for saturated in (False, True):
             group = [run for run in runs if (run.level in at_end) == saturated]
             if group:
-                findings.append(_constant_finding(test, group, saturated=saturated))
-    return findings
+                unit = context.command_unit(group[0].direction)
+                yield _constant_finding(test, group, unit, saturated=saturated)
 
 
-def _constant_finding(context: RecordContext, group: list[_ConstantRun], *, saturated: bool) -> AuditFinding:
+def _constant_finding(
+    context: RecordContext, group: list[_ConstantRun], unit: str, *, saturated: bool
+) -> AuditFinding:
     record, first = context.record, group[0]
     level = float(np.median(np.abs(record.command(first.direction)[first.start : first.stop])))
-    begin, end = (record.start_s + sample * record.step_s for sample in (first.start, first.stop - 1))
     what = (
-        f"the displacement is constant at {first.level:.5g} {context.quality.unit} from {begin:.6g} to "
-        f"{end:.6g} s although {first.direction} is commanded at {level:.3g} "
-        f"{command_unit(record, first.direction)}"
+        f"the displacement is constant at {first.level:.5g} {context.quality.unit} from "
+        f"{context.time_s(first.start):.6g} to {context.time_s(first.stop - 1):.6g} s although "
+        f"{first.direction} is commanded at {level:.3g} {unit}"
     )
     if len(group) > 1:
         what += f", and {len(group) - 1} more times"
@@ -84,8 +85,8 @@ def _constant_finding(context: RecordContext, group: list[_ConstantRun], *, satu
     if saturated:
         check, severity, what = "saturated sensor", Severity.WARNING, f"{what}, and again at other times"
         advice = "this is the end of the sensor's range: move the sensor, or keep the tests within its range"
-    stretches = [(run.start, run.stop) for run in group]
-    return context.finding(check, severity, what, advice, intervals=stretches)
+    intervals = [(run.start, run.stop) for run in group]
+    return context.finding(check, severity, what, advice, intervals=intervals)
 
 
 def _constant_runs(context: RecordContext) -> list[_ConstantRun]:
@@ -105,6 +106,7 @@ def _constant_runs(context: RecordContext) -> list[_ConstantRun]:
         if strong.any():
             command = np.abs(context.record.command(direction))
             strong &= command >= STRONG * np.median(command[strong])
+        # Of the same log, so that its own load and oil count.
         speed = _speed(displacement, strong[:-1], repeated)
         for start, stop in stretches:
             level = float(displacement[start])
@@ -127,9 +129,9 @@ def _unchanged_share(context: RecordContext, repeated: np.ndarray, stretches: li
         for start, stop in stretches:
             resting[start:stop] = False
     resting_count = int(np.count_nonzero(resting))
-    return (
-        int(np.count_nonzero(repeated & resting)) / resting_count if resting_count >= FEWEST_AT_REST else 1.0
-    )
+    if resting_count < FEWEST_AT_REST:
+        return 1.0
+    return int(np.count_nonzero(repeated & resting)) / resting_count
 
 
 def _speed(displacement: np.ndarray, strong: np.ndarray, repeated: np.ndarray) -> float:
@@ -147,6 +149,7 @@ def _must_move(run: _ConstantRun, speed: float, strong: np.ndarray) -> bool:
     )
     if not abs(speed) * samples > required_travel:
         return False
+    # Noise that stops is proof enough; without noise only motion on both sides is.
     if not run.noiseless:
         return True
     displacement = run.test.record.displacement
@@ -161,32 +164,27 @@ def _must_move(run: _ConstantRun, speed: float, strong: np.ndarray) -> bool:
     )
 
 
-class _SignalRange(NamedTuple):
-    """Lowest and highest number of a signal in all logs, and its unit."""
+class _Range(NamedTuple):
+    """Lowest and highest number of a signal in all logs: in its unit, and in the SI unit."""
 
     lowest: float
     highest: float
-    unit: str
+    si: float
 
     @property
     def largest(self) -> float:
         return max(abs(self.lowest), abs(self.highest))
 
     @property
-    def peak_to_peak(self) -> float:
-        return self.highest - self.lowest
-
-    @property
-    def si(self) -> float:
-        """Factor to the SI unit."""
-        return UNITS[self.unit].factor
+    def span_si(self) -> float:
+        return (self.highest - self.lowest) * self.si
 
 
 class _Rule(NamedTuple):
-    """Condition of an implausible range, and its probable cause."""
+    """Condition of an implausible range of a unit, or of all units of a dimension, and its probable cause."""
 
-    dimension: str
-    applies: Callable[[_SignalRange], bool]
+    unit: str
+    applies: Callable[[_Range], bool]
     severity: Severity
     suggestion: str
 
@@ -206,40 +204,21 @@ FEWEST_TO_COMPARE = 3  # tests of a direction (chosen)
 OVERDRIVE = 1.05  # of full scale, 5 % tolerance (chosen)
 
 PLAUSIBILITY_RULES = (
-    _Rule(
-        "length", lambda r: r.peak_to_peak * r.si > LONGEST_M, Severity.FAULT, "a smaller unit, such as mm"
-    ),
+    _Rule("length", lambda r: r.span_si > LONGEST_M, Severity.FAULT, "a smaller unit, such as mm"),
     _Rule(
         "length",
-        lambda r: 0 < r.peak_to_peak * r.si < SHORTEST_M,
+        lambda r: 0 < r.span_si < SHORTEST_M,
         Severity.WARNING,
         "a larger unit, such as m, or a piston that does not move",
     ),
-    _Rule("angle", lambda r: r.unit == "rad" and r.largest > 2 * pi, Severity.WARNING, "degrees"),
-    _Rule(
-        "angle",
-        lambda r: r.unit == "deg" and r.largest > 360.0,
-        Severity.WARNING,
-        "a raw count, or an encoder overflow",
-    ),
-    _Rule("angle", lambda r: r.unit == "deg" and 0 < r.largest <= 2 * pi, Severity.NOTE, "radians"),
-    _Rule("ratio", lambda r: r.unit == "1" and r.largest > OVERDRIVE, Severity.WARNING, "percent"),
-    _Rule(
-        "ratio",
-        lambda r: r.unit == "percent" and r.largest > 100 * OVERDRIVE,
-        Severity.WARNING,
-        "a raw count, not percent",
-    ),
-    _Rule(
-        "ratio",
-        lambda r: r.unit == "percent" and 0 < r.largest <= 1,
-        Severity.WARNING,
-        "a fraction, in unit 1",
-    ),
-    _Rule("current", lambda r: r.unit == "A" and r.largest > LARGEST_CURRENT_A, Severity.FAULT, "mA"),
-    _Rule(
-        "current", lambda r: r.unit == "mA" and 0 < r.largest <= SMALLEST_MILLIAMPERE, Severity.WARNING, "A"
-    ),
+    _Rule("rad", lambda r: r.largest > 2 * pi, Severity.WARNING, "degrees"),
+    _Rule("deg", lambda r: r.largest > 360.0, Severity.WARNING, "a raw count, or an encoder overflow"),
+    _Rule("deg", lambda r: 0 < r.largest <= 2 * pi, Severity.NOTE, "radians"),
+    _Rule("1", lambda r: r.largest > OVERDRIVE, Severity.WARNING, "percent"),
+    _Rule("percent", lambda r: r.largest > 100 * OVERDRIVE, Severity.WARNING, "a raw count, not percent"),
+    _Rule("percent", lambda r: 0 < r.largest <= 1, Severity.WARNING, "a fraction, in unit 1"),
+    _Rule("A", lambda r: r.largest > LARGEST_CURRENT_A, Severity.FAULT, "mA"),
+    _Rule("mA", lambda r: 0 < r.largest <= SMALLEST_MILLIAMPERE, Severity.WARNING, "A"),
     _Rule("voltage", lambda r: r.largest > LARGEST_VOLTAGE_V, Severity.WARNING, "mV"),
     _Rule(
         "pressure",
@@ -250,7 +229,7 @@ PLAUSIBILITY_RULES = (
 )
 
 
-def units(context: CampaignContext) -> list[AuditFinding]:
+def units(context: CampaignContext) -> Findings:
     """Find signals whose range over all logs is implausible for their unit; nothing is converted.
 
     The limits: a stroke is below 20 m and above 1 mm; a coil current is a few A, so above 20 A the unit is
@@ -259,75 +238,59 @@ def units(context: CampaignContext) -> list[AuditFinding]:
     An impossible range is a fault, an unlikely one a warning. A covariate above 1 in unit 1 probably was
     given no unit: a note.
     """
-    findings = []
-    roles = dict.fromkeys(role for test in context.tests for role in test.record.signals)
-    for role in roles:
-        present = [test.record for test in context.tests if role in test.record.signals]
-        lowest = float(min(record.signals[role].min() for record in present))
-        highest = float(max(record.signals[role].max() for record in present))
-        signal_range = _SignalRange(lowest, highest, present[0].units[role])
-        is_covariate = role != DISPLACEMENT and role not in COMMAND.values()
-        for rule in PLAUSIBILITY_RULES:
-            if rule.dimension != UNITS[signal_range.unit].dimension or not rule.applies(signal_range):
-                continue
-            if is_covariate and rule.dimension in ("length", "ratio"):
-                continue  # a covariate may be small, or have no stated unit
-            findings.append(
-                _finding(role, signal_range, rule.severity, f"this is probably {rule.suggestion}")
+    for role in dict.fromkeys(role for test in context.tests for role in test.record.signals):
+        records = [test.record for test in context.tests if role in test.record.signals]
+        unit = records[0].units[role]
+        lowest = float(min(record.signals[role].min() for record in records))
+        highest = float(max(record.signals[role].max() for record in records))
+        extent = _Range(lowest, highest, UNITS[unit].factor)
+        causes = [rule for rule in PLAUSIBILITY_RULES if rule.unit in (unit, UNITS[unit].dimension)]
+        judged = [(r.severity, f"this is probably {r.suggestion}") for r in causes if r.applies(extent)]
+        if role != DISPLACEMENT and role not in COMMAND.values():
+            # A covariate may be small, or have no stated unit.
+            if UNITS[unit].dimension in ("length", "ratio"):
+                judged = []
+            if unit == "1" and extent.largest > OVERDRIVE:
+                judged = [(Severity.NOTE, "its unit is probably missing")]
+        for severity, judgement in judged:
+            what = (
+                f"{role} ranges from {lowest:.4g} to {highest:.4g} in all logs and has the unit '{unit}': "
+                f"{judgement}"
             )
-        if is_covariate and signal_range.unit == "1" and signal_range.largest > OVERDRIVE:
-            findings.append(_finding(role, signal_range, Severity.NOTE, "its unit is probably missing"))
-    return findings
+            advice = "check the unit of this column in campaign.toml; no value was converted"
+            yield context.finding("units", severity, what, advice, signal=role)
 
 
-def units_of_logs(context: CampaignContext) -> list[AuditFinding]:
+def units_of_logs(context: CampaignContext, direction: str) -> Findings:
     """Find logs whose unit is another than that of most logs, under the same name: a fault.
 
     Of each test the travel per command beyond the dead zone and time is compared with the median of its
     direction: a tenth, or another factor between two units, is no difference between tests of one plant.
     """
-    findings = []
-    for direction in DIRECTIONS:
-        tests = [test for test in context.tests if direction in test.record.directions]
-        moving = [test for test in tests if abs(travel(test, direction)) > test.quality.noise_bound]
-        if len(moving) < FEWEST_TO_COMPARE:
-            continue
-        # Of several dead zones the one behind which most tests travel alike.
-        commands = [np.abs(test.record.command(direction)) for test in moving]
-        areas = np.array(
-            [
-                [
-                    max(float(np.sum(np.maximum(c - share * context.scales[direction], 0.0))), 1e-9)
-                    for c in commands
-                ]
-                for share in DEAD_ZONE_SHARES
-            ]
-        )
-        ways = [abs(travel(test, direction)) / test.record.step_s for test in moving]
-        logarithms = np.log(ways / areas)
-        medians = np.median(logarithms, axis=1, keepdims=True)
-        best = int(np.argmin(np.median(np.abs(logarithms - medians), axis=1)))
-        gains = np.exp(logarithms[best])
-        usual = median_high(gains.tolist())
-        for test, gain in zip(moving, gains.tolist(), strict=True):
-            ratio = max(usual / gain, gain / usual)
-            factor = min(UNIT_FACTORS, key=lambda factor: abs(np.log(ratio / factor)))
-            if abs(np.log(ratio / factor)) > np.log(UNIT_TOLERANCE):
-                continue
-            share = f"{factor:.4g} times {'less' if gain < usual else 'more'} than"
-            what = (
-                f"the piston travels about {share} in most {direction} tests for the same command: the "
-                f"log is probably not in {test.quality.unit}, or its command has another unit"
-            )
-            advice = "put logs in other units into a folder of their own, with a campaign.toml for them"
-            findings.append(test.finding("units", Severity.FAULT, what, advice))
-    return findings
-
-
-def _finding(role: str, signal_range: _SignalRange, severity: Severity, judgement: str) -> AuditFinding:
-    what = (
-        f"{role} ranges from {signal_range.lowest:.4g} to {signal_range.highest:.4g} in all logs "
-        f"and has the unit '{signal_range.unit}': {judgement}"
+    moving = [test for test in context.tests if abs(travel(test, direction)) > test.quality.noise_bound]
+    if len(moving) < FEWEST_TO_COMPARE:
+        return
+    # Of several dead zones the one behind which most tests travel alike.
+    commands = [np.abs(test.record.command(direction)) for test in moving]
+    zones = DEAD_ZONE_SHARES * context.scales[direction]
+    areas = np.array(
+        [[max(float(np.sum(np.maximum(c - zone, 0.0))), 1e-9) for c in commands] for zone in zones]
     )
-    advice = "check the unit of this column in campaign.toml; no value was converted"
-    return AuditFinding("units", severity, "", role, (), what, advice)
+    ways = [abs(travel(test, direction)) / test.record.step_s for test in moving]
+    logarithms = np.log(ways / areas)
+    medians = np.median(logarithms, axis=1, keepdims=True)
+    best = int(np.argmin(np.median(np.abs(logarithms - medians), axis=1)))
+    gains = np.exp(logarithms[best])
+    usual = median_high(gains.tolist())
+    for test, gain in zip(moving, gains.tolist(), strict=True):
+        ratio = max(usual / gain, gain / usual)
+        factor = min(UNIT_FACTORS, key=lambda factor: abs(np.log(ratio / factor)))
+        if abs(np.log(ratio / factor)) > np.log(UNIT_TOLERANCE):
+            continue
+        share = f"{factor:.4g} times {'less' if gain < usual else 'more'} than"
+        what = (
+            f"the piston travels about {share} in most {direction} tests for the same command: the "
+            f"log is probably not in {test.quality.unit}, or its command has another unit"
+        )
+        advice = "put logs in other units into a folder of their own, with a campaign.toml for them"
+        yield test.finding("units", Severity.FAULT, what, advice)

@@ -38,8 +38,9 @@ class Format(NamedTuple):
 
 def _read_mdf(path: Path, selection: ChannelSelection) -> Content:
     """Read an MDF log of channels, or of a CAN bus where there are databases for it."""
+    # Without a database frames cannot be decoded, and the file may have channels, too.
     is_bus = selection.databases and can.is_bus_log(path)
-    return can.read_mf4(path, selection) if is_bus else mdf.read(path, selection)
+    return (can if is_bus else mdf).read(path, selection)
 
 
 BUILT_IN = (
@@ -65,6 +66,7 @@ def formats() -> Mapping[str, Format]:
     log_format = with_extensions(
         "hitchid.formats", BUILT_IN, kind=Format, name=lambda log_format: log_format.name
     )
+    # Formats that look into a file may share an ending; two that do not would hide one another.
     exclusive = {name: item.suffixes for name, item in log_format.items() if item.is_log is None}
     count = Counter(suffix for suffixes in exclusive.values() for suffix in suffixes)
     for suffix in (suffix for suffix in count if count[suffix] > 1):
@@ -80,6 +82,7 @@ def known_format(path: Path) -> Format | None:
 
     Where several formats share an ending, those of other packages come first.
     """
+    # Those of other packages first: they know files that this package can only guess at.
     for log_format in reversed(tuple(formats().values())):
         if not path.name.lower().endswith(log_format.suffixes):
             continue

@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +11,6 @@ from hitchid.logs.content import ChannelSelection, Content, LogChannel, format_n
 from hitchid.logs.formats.can_database import (
     CanMessage,
     CanSignal,
-    Databases,
     node,
     parameter_group,
     read_databases,
@@ -28,12 +26,7 @@ from hitchid.logs.formats.can_decoder import (
     raw_numbers,
 )
 
-
-class _SignalLocation(NamedTuple):
-    """Stream and signal of one channel."""
-
-    stream: Stream
-    signal: CanSignal
+Location = tuple[Stream, CanSignal]  # where the samples of a channel are
 
 
 def read_bus(frames: Iterable[Frame], source: Path, selection: ChannelSelection) -> Content:
@@ -52,18 +45,18 @@ def read_bus(frames: Iterable[Frame], source: Path, selection: ChannelSelection)
 
     Messages of several frames (J1939 transport protocol) are not reassembled.
     """
-    databases = read_databases(selection.databases, source)
+    messages, database_notices = read_databases(selection.databases, source)
     requested_names = {name.rpartition("/")[2] for name in (selection.time, *(selection.signals or ()))}
 
     def may_hold_requested(message: CanMessage) -> bool:
         return selection.signals is None or any(s.name in requested_names for s in message.signals)
 
     # The frames of all other messages, most of a busy bus, are counted and dropped.
-    traffic = collect_streams(frames, databases.messages, may_hold_requested)
+    traffic = collect_streams(frames, messages, may_hold_requested)
     if not traffic.frame_count:
         raise LogError(source, "holds no CAN frames with data")
     locations, aliases = _channel_names(traffic.streams)
-    matches = _match_requested(source, selection, aliases, databases, traffic, list(locations))
+    matches = _match_requested(source, selection, aliases, messages, traffic, list(locations))
     located = {requested: locations[name] for requested, name in matches.items()}
     required = selection.signals is not None
     channels, notices = _channels(source, traffic.first_s, located, required=required)
@@ -71,21 +64,21 @@ def read_bus(frames: Iterable[Frame], source: Path, selection: ChannelSelection)
         raise LogError(source, f"none of its {traffic.frame_count} frames holds a signal of the DBC files")
     if traffic.without_data:
         notices.insert(0, f"{traffic.without_data} error and remote frames are left out")
-    return Content(source, channels, (*databases.notices, *notices))
+    return Content(source, channels, (*database_notices, *notices))
 
 
-def _channel_names(streams: Sequence[Stream]) -> tuple[dict[str, _SignalLocation], dict[str, list[str]]]:
+def _channel_names(streams: Sequence[Stream]) -> tuple[dict[str, Location], dict[str, list[str]]]:
     """Return full name to location, and every alias to the full names it may stand for."""
     buses = Counter(name for name, _ in {(stream.message.name, stream.bus) for stream in streams})
     nodes = Counter(name for name, _ in {(stream.message.name, stream.node) for stream in streams})
-    locations: dict[str, _SignalLocation] = {}
+    locations: dict[str, Location] = {}
     aliases: dict[str, list[str]] = {}
     for stream in streams:
         name = stream.message.name
         bus_suffix, node_suffix = f"@can{stream.bus}", "" if stream.node is None else f"@{stream.node:#04x}"
         full_name = name + (bus_suffix if buses[name] > 1 else "") + (node_suffix if nodes[name] > 1 else "")
         for signal in stream.message.signals:
-            locations[f"{full_name}/{signal.name}"] = _SignalLocation(stream, signal)
+            locations[f"{full_name}/{signal.name}"] = stream, signal
             for alias in {name, name + bus_suffix, name + node_suffix, name + bus_suffix + node_suffix}:
                 aliases.setdefault(f"{alias}/{signal.name}", []).append(f"{full_name}/{signal.name}")
     return locations, aliases
@@ -95,7 +88,7 @@ def _match_requested(
     source: Path,
     selection: ChannelSelection,
     aliases: dict[str, list[str]],
-    databases: Databases,
+    messages: Sequence[CanMessage],
     traffic: BusTraffic,
     names: list[str],
 ) -> dict[str, str]:
@@ -112,7 +105,7 @@ def _match_requested(
         if candidates:
             matches[requested] = candidates[0]
         elif requested != selection.time and requested not in {name.rpartition("/")[2] for name in names}:
-            _check_not_in_log(source, requested, databases.messages, traffic)
+            _check_not_in_log(source, requested, messages, traffic)
     remaining = selection._replace(
         signals=tuple(requested for requested in selection.signals if requested not in matches)
     )
@@ -148,11 +141,11 @@ def _check_not_in_log(
 
 
 def _channels(
-    source: Path, first_s: float, locations: Mapping[str, _SignalLocation], *, required: bool
+    source: Path, first_s: float, locations: Mapping[str, Location], *, required: bool
 ) -> tuple[dict[str, LogChannel], list[str]]:
     """Return channels and notices; a channel without a valid sample is an error if `required`."""
     channels: dict[str, LogChannel] = {}
-    streams = {id(location.stream): location.stream for location in locations.values()}
+    streams = {id(stream): stream for stream, _ in locations.values()}
     notices, empty = list(_stream_notices(streams.values())), []
     stamps_s, payloads = {}, {}
     for key, stream in streams.items():
@@ -161,8 +154,7 @@ def _channels(
         all_bytes = b"".join(data[:length] for _, data in stream.frames)
         payloads[key] = np.frombuffer(all_bytes, dtype=np.uint8).reshape(len(stream.frames), length)
     clocks: dict[tuple[int, bytes], np.ndarray] = {}
-    for requested, location in locations.items():
-        stream, signal = location
+    for requested, (stream, signal) in locations.items():
         payload, clock_s = payloads[id(stream)], stamps_s[id(stream)]
         present = frames_with_signal(payload, signal, stream.message)
         raw = raw_numbers(payload, signal)
@@ -173,7 +165,7 @@ def _channels(
         unavailable_count = present_count - int(present.sum())
         if not values.size:
             if required:
-                raise LogError(source, _empty_reason(location, unavailable_count), column=requested)
+                raise LogError(source, _empty_reason(stream, unavailable_count), column=requested)
             empty.append(requested)
             continue
         if unavailable_count:
@@ -204,9 +196,9 @@ def _stream_notices(streams: Iterable[Stream]) -> Iterator[str]:
             )
 
 
-def _empty_reason(location: _SignalLocation, unavailable_count: int) -> str:
+def _empty_reason(stream: Stream, unavailable_count: int) -> str:
     if unavailable_count:
         return f"all {unavailable_count} samples are 'not available' or 'error' in J1939"
-    if location.stream.frames:
+    if stream.frames:
         return "no frame contains it: its multiplexer never selects it"
-    return f"all frames of its message are shorter than {location.stream.message.length} bytes"
+    return f"all frames of its message are shorter than {stream.message.length} bytes"

@@ -77,32 +77,22 @@ class CanMessage(NamedTuple):
     maybe_j1939: bool
 
 
-class Databases(NamedTuple):
-    """Messages of several databases, each once, and notices on databases with errors."""
-
-    messages: tuple[CanMessage, ...]
-    notices: tuple[str, ...]
-
-
-def read_databases(paths: Sequence[Path], source: Path) -> Databases:
-    """Read the DBC files that belong to a log."""
+def read_databases(paths: Sequence[Path], source: Path) -> tuple[list[CanMessage], list[str]]:
+    """Return the messages of the DBC files that belong to a log, each once, and notices on their errors."""
     if not paths:
         problem = (
             "a DBC file is required: put it in the log's folder or name it in campaign.toml, [can] databases"
         )
         raise LogError(source, problem)
     import_optional("cantools", "can", source)
-    databases = {}
+    messages, notices = {}, []
     for path in paths:
         with as_log_errors(path, "a DBC file"):
-            databases[path] = _parse(path.read_bytes())
-        if not databases[path].messages:
+            messages[path], notice = _parse(path.read_bytes())
+        if not messages[path]:
             raise LogError(path, "contains no messages with signals; expected a DBC file of the bus")
-    messages = _with_distinct_names({path: database.messages for path, database in databases.items()})
-    notices = [
-        f"{path.name}: {notice}" for path, database in databases.items() for notice in database.notices
-    ]
-    return Databases(tuple(messages), tuple(notices))
+        notices += [f"{path.name}: {notice}"] if notice else []
+    return _with_distinct_names(messages), notices
 
 
 def parameter_group(identifier: int) -> int:
@@ -119,7 +109,7 @@ def node(identifier: int) -> int:
 
 # A large database takes seconds, and every log of a campaign uses the same one.
 @lru_cache(maxsize=8)
-def _parse(content: bytes) -> Databases:
+def _parse(content: bytes) -> tuple[tuple[CanMessage, ...], str]:
     from cantools.database import load_string
     from cantools.database.errors import Error
 
@@ -127,14 +117,14 @@ def _parse(content: bytes) -> Databases:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = content.decode("cp1252", errors="replace")
-    notices = ()
+    notice = ""
     try:
         database = load_string(text, database_format="dbc")
     except Error as error:
         # Databases in use often hold signals that overlap; what fits its message can still be read.
         database = load_string(text, database_format="dbc", strict=False)
-        notices = (f"read with errors ({error}); signals that do not fit their message are left out",)
-    return Databases(tuple(_messages(database)), notices)
+        notice = f"read with errors ({error}); signals that do not fit their message are left out"
+    return tuple(_messages(database)), notice
 
 
 def _messages(database: Any) -> Iterable[CanMessage]:
@@ -146,9 +136,23 @@ def _messages(database: Any) -> Iterable[CanMessage]:
         extended = bool(message.is_extended_frame)
         unmarked = extended and not marks_frame_format
         is_j1939 = extended and (message.protocol == "j1939" or (unmarked and j1939))
-        can_signals = (
-            _to_can_signal(signal) for signal in message.signals if 0 < signal.length <= MAX_SIGNAL_BITS
-        )
+        can_signals = [
+            CanSignal(
+                name=signal.name,
+                unit=unit_text(signal.unit),
+                start=signal.start,
+                length=signal.length,
+                little_endian=signal.byte_order == "little_endian",
+                signed=bool(signal.is_signed),
+                is_float=bool(signal.conversion.is_float),
+                scale=float(signal.conversion.scale),
+                offset=float(signal.conversion.offset),
+                multiplexer=signal.multiplexer_signal,
+                multiplexer_values=tuple(signal.multiplexer_ids or ()),
+            )
+            for signal in message.signals
+            if 0 < signal.length <= MAX_SIGNAL_BITS
+        ]
         yield CanMessage(
             name=message.name,
             identifier=message.frame_id,
@@ -158,22 +162,6 @@ def _messages(database: Any) -> Iterable[CanMessage]:
             is_j1939=is_j1939,
             maybe_j1939=unmarked and not is_j1939 and node(message.frame_id) == NULL_ADDRESS,
         )
-
-
-def _to_can_signal(signal: Any) -> CanSignal:
-    return CanSignal(
-        name=signal.name,
-        unit=unit_text(signal.unit),
-        start=signal.start,
-        length=signal.length,
-        little_endian=signal.byte_order == "little_endian",
-        signed=bool(signal.is_signed),
-        is_float=bool(signal.conversion.is_float),
-        scale=float(signal.conversion.scale),
-        offset=float(signal.conversion.offset),
-        multiplexer=signal.multiplexer_signal,
-        multiplexer_values=tuple(signal.multiplexer_ids or ()),
-    )
 
 
 def _with_distinct_names(messages_by_path: dict[Path, tuple[CanMessage, ...]]) -> list[CanMessage]:
@@ -189,6 +177,7 @@ def _with_distinct_names(messages_by_path: dict[Path, tuple[CanMessage, ...]]) -
     }
     taken_names: set[str] = set()
     for renamed_message, path in renamed.items():
+        # Two databases of one file name: no prefix can tell them apart.
         if renamed_message.name in taken_names:
             raise LogError(path, f"several messages are named '{renamed_message.name}'; names must differ")
         taken_names.add(renamed_message.name)

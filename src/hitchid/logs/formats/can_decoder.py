@@ -1,116 +1,13 @@
 """Decoder of a CAN bus: frames to streams of one message and sending node, payloads to numbers of signals."""
 
-import re
-import struct
-import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from itertools import islice
-from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8, UInt64
 
-from hitchid.errors import LogError
 from hitchid.logs.formats.can_database import NULL_ADDRESS, CanMessage, CanSignal, node, parameter_group
-
-# Completeness of a BLF log: python-can reads a truncated log without an error.
-
-# Signature, size of the header, size of the file.
-HEADER = struct.Struct("<4sL8xQ")
-# Signature, sizes of the header and of the object, kind.
-OBJECT = struct.Struct("<4s4xLL")
-# Compression method, uncompressed length.
-CONTAINER = struct.Struct("<H6xL4x")
-OBJECT_SIGNATURE = b"LOBJ"
-PADDING = 4  # bytes; objects begin at multiples of it
-CONTAINER_KIND, UNCOMPRESSED, DEFLATED = 10, 0, 2  # kind of object; compression methods
-# Kinds of objects that python-can returns: frames, two of CAN FD, errors.
-FRAME_KINDS = frozenset((1, 86, 100, 101, 73))
-
-
-class Inventory(NamedTuple):
-    """Frames of a BLF log, error frames included, and whether it was closed: else no missing end is seen."""
-
-    frame_count: int
-    closed: bool
-
-
-def inventory(path: Path) -> Inventory:
-    """Count the frames of a BLF log and check its structure."""
-    size = path.stat().st_size
-    with path.open("rb") as stream:
-        start = stream.read(HEADER.size)
-        if len(start) < HEADER.size or not start.startswith(b"LOGG"):
-            raise LogError(path, "cannot be read as a CAN log: it does not start as a BLF file")
-        _, header, stated_size = HEADER.unpack(start)
-        if size < max(header, stated_size):
-            raise LogError(path, f"is truncated: holds {size} of {max(header, stated_size)} bytes")
-        stream.seek(header)
-        count, rest = 0, b""
-        for kind, content in _iterate_objects(path, stream):
-            count += kind in FRAME_KINDS
-            if kind == CONTAINER_KIND:
-                container_count, rest = _count_container_frames(path, rest + _unpack(path, content))
-                count += container_count
-        if rest.strip(b"\0"):
-            raise LogError(path, "is truncated: it ends within a frame")
-    return Inventory(count, closed=size - stated_size < PADDING)
-
-
-def _iterate_objects(path: Path, stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Yield kind and content of each top-level object."""
-    while start := stream.read(OBJECT.size):
-        if len(start) < OBJECT.size:
-            raise LogError(path, "is truncated: it ends within the start of an object")
-        signature, length, kind = OBJECT.unpack(start)
-        if signature != OBJECT_SIGNATURE or length < OBJECT.size:
-            position = stream.tell() - OBJECT.size
-            raise LogError(path, f"cannot be read as a CAN log: there is no object at byte {position}")
-        content = stream.read(length - OBJECT.size)
-        if len(content) < length - OBJECT.size:
-            raise LogError(path, "is truncated: it ends within an object")
-        stream.read(length % PADDING)
-        yield kind, content
-
-
-def _unpack(path: Path, content: bytes) -> bytes:
-    if len(content) < CONTAINER.size:
-        raise LogError(path, "cannot be read as a CAN log: a container is shorter than its header")
-    method, length = CONTAINER.unpack_from(content)
-    packed = content[CONTAINER.size :]
-    if method not in (UNCOMPRESSED, DEFLATED):
-        raise LogError(path, f"cannot be read as a CAN log: its compression, number {method}, is not known")
-    try:
-        # A damaged file must not unpack to more than the stated length.
-        unpacked = zlib.decompressobj().decompress(packed, length + 1) if method == DEFLATED else packed
-    except zlib.error as error:
-        raise LogError(path, f"cannot be read as a CAN log: {error}") from error
-    if len(unpacked) != length:
-        raise LogError(
-            path, f"cannot be read as a CAN log: a container holds {len(unpacked)} bytes, expected {length}"
-        )
-    return unpacked
-
-
-def _count_container_frames(path: Path, data: bytes) -> tuple[int, bytes]:
-    """Return the number of frames in a container, and the beginning of a frame that the next continues."""
-    count, position = 0, 0
-    while True:
-        start = data.find(OBJECT_SIGNATURE, position, position + 2 * PADDING)
-        if start < 0 and len(data) - position >= 2 * PADDING:
-            raise LogError(path, "cannot be read as a CAN log: an expected object is missing")
-        if start < 0 or start + OBJECT.size > len(data):
-            return count, data[position:]
-        _, length, kind = OBJECT.unpack_from(data, start)
-        if length < OBJECT.size:
-            raise LogError(path, "cannot be read as a CAN log: an object is shorter than its header")
-        if start + length > len(data):
-            return count, data[start:]
-        count += kind in FRAME_KINDS
-        position = start + length
-
 
 # From the bytes of frames to the numbers of one signal.
 
@@ -203,8 +100,16 @@ class Frame(NamedTuple):
 
 @dataclass
 class Stream:
-    """The frames one node sends of one message on one bus; `node` and `j1939_assumed` as `MessageMatch` has
-    them."""
+    """The frames one node sends of one message on one bus.
+
+    Attributes:
+        message: the message.
+        bus: number of the bus.
+        node: the sending node by J1939; None for any other message.
+        j1939_assumed: whether J1939 is only assumed.
+        frames: stamp and bytes of each.
+        short_count: number of frames with less bytes than the message has.
+    """
 
     message: CanMessage
     bus: int
@@ -214,16 +119,10 @@ class Stream:
     short_count: int = 0
 
 
-class MessageMatch(NamedTuple):
-    """A possible message of an id, the sending node by J1939, and whether J1939 is only assumed."""
-
-    message: CanMessage
-    node: int | None
-    j1939_assumed: bool
-
-
-def _message_matcher(messages: Sequence[CanMessage]) -> Callable[[int, bool], list[MessageMatch]]:
-    """Return a function from an id to its possible messages."""
+def _message_matcher(
+    messages: Sequence[CanMessage],
+) -> Callable[[int, bool], list[tuple[CanMessage, int | None, bool]]]:
+    """Return a function from an id to its possible messages, each with `node` and `j1939_assumed`."""
     exact: dict[tuple[int, bool], list[CanMessage]] = {}
     groups: dict[tuple[int, bool], list[CanMessage]] = {}
     for message in messages:
@@ -232,13 +131,15 @@ def _message_matcher(messages: Sequence[CanMessage]) -> Callable[[int, bool], li
         if message.is_j1939 or message.maybe_j1939:
             groups.setdefault((parameter_group(message.identifier), message.maybe_j1939), []).append(message)
 
-    def matches(identifier: int, extended: bool) -> list[MessageMatch]:
-        candidates = [MessageMatch(message, None, False) for message in exact.get((identifier, extended), [])]
+    def matches(identifier: int, extended: bool) -> list[tuple[CanMessage, int | None, bool]]:
+        candidates: list[tuple[CanMessage, int | None, bool]] = [
+            (message, None, False) for message in exact.get((identifier, extended), [])
+        ]
         if extended:
             for maybe_j1939 in (False, True):
                 group = groups.get((parameter_group(identifier), maybe_j1939), [])
                 candidates += [
-                    MessageMatch(message, node(identifier), maybe_j1939)
+                    (message, node(identifier), maybe_j1939)
                     for message in _messages_of_node(group, node(identifier))
                     if not (maybe_j1939 and message.identifier == identifier)
                 ]
@@ -270,9 +171,11 @@ def collect_streams(
         if data is None:
             without_data += 1
             continue
+        # Times count from the first frame with data: no other is used.
         if not count:
             first_s = stamp_s
         count += 1
+        # Looked up once for each id: a log has millions of frames, a bus some hundred ids.
         targets = routes.get((bus, extended, identifier))
         if targets is None:
             matched = [
@@ -302,44 +205,3 @@ def _messages_of_node(group: Sequence[CanMessage], address: int) -> list[CanMess
     # A definition for one node applies to all nodes if it is the only one in the database.
     shared = list(group) if len({node(message.identifier) for message in group}) == 1 else []
     return exact or any_node or shared
-
-
-# Logs of candump, of the SocketCAN utilities: its log file and what it prints with absolute times.
-
-LONGEST_LINE = 400  # characters; printed with their text, 64 bytes take 310
-HEAD_LINES = 20  # lines among which a log has its first frame (chosen)
-ERROR_FRAME = 0x20000000  # flag in the id; linux/can.h
-LINE = re.compile(
-    r"\s*\((?P<stamp>\d+\.\d+)\)\s+(?P<bus>\S+)\s+(?:[RT]X\b.*?\s)?(?P<id>[0-9A-Fa-f]{3,8})"
-    r"(?:#(?:#[0-9A-Fa-f])?(?:R\d?|(?P<packed>(?:[0-9A-Fa-f]{2}\.?)*))(?:\s+[RT])?"
-    r"|\s+\[\d+\]\s+(?:remote request|(?P<spaced>[0-9A-Fa-f]{2}(?:\s+[0-9A-Fa-f]{2})*)?(?:\s+'.*')?))\s*"
-)
-
-
-def is_candump(path: Path) -> bool:
-    """Return whether one of the first lines of a file is a frame as candump writes it."""
-    with path.open(encoding="latin-1") as stream:
-        return any(
-            LINE.fullmatch(line)
-            for line in islice(iter(lambda: stream.readline(LONGEST_LINE), ""), HEAD_LINES)
-        )
-
-
-def candump_frames(lines: Iterable[str], notices: list[str]) -> Iterator[Frame]:
-    """Yield the frames of a log of whole lines, with a notice on those that are none, such as a cut one."""
-    others: list[int] = []
-    for number, line in enumerate(lines, start=1):
-        match = LINE.fullmatch(line)
-        # A cut frame may look complete: its last bytes may be missing.
-        if match is None or not line.endswith("\n"):
-            others += [number] if line.strip() else []
-            continue
-        identifier, bus = int(match["id"], 16), re.search(r"\d+$", match["bus"])
-        text = match["packed"] if match["packed"] is not None else match["spaced"]
-        is_data = text is not None and not identifier & ERROR_FRAME
-        data = bytes.fromhex(text.replace(".", "")) if is_data and text else b"" if is_data else None
-        yield Frame(float(match["stamp"]), int(bus[0]) if bus else 0, identifier, len(match["id"]) > 3, data)
-    if others:
-        notices.append(
-            f"left out: {len(others)} lines that are no complete frames, the first is line {others[0]}"
-        )

@@ -57,18 +57,21 @@ class Columns:
     def add(self, lines: Sequence[int], columns: Sequence[Sequence[str]]) -> None:
         """Add a block: the lines of its rows, and the cells of each column."""
         cells = dict(zip(self._values, columns, strict=True))
+        # By the first block: a column does not turn from stamps into numbers.
         if not self._lines:
             for name, column in cells.items():
                 first = next((cell for cell in column if any(map(str.isdigit, cell))), "")
                 if is_stamp(first.strip()):
                     self._stamps[name] = Stamps()
         try:
+            # Once the sign is known, no block has to be searched for it.
             if self._numerals.sign is None:
                 numbers = {name: column for name, column in cells.items() if name not in self._stamps}
                 self._numerals.examine({name: "\n".join(column) for name, column in numbers.items()})
             blocks = {name: self._convert(name, column) for name, column in cells.items()}
         except CellError as error:
             raise LogError(self._path, error.problem, line=lines[error.row], column=error.name) from error
+        # One number makes a sample: a sensor that failed leaves its cells empty and the others full.
         is_sample = np.any([block.present for block in blocks.values()], axis=0)
         for name, block in blocks.items():
             bad = np.flatnonzero(block.bad & is_sample)
@@ -84,6 +87,7 @@ class Columns:
             name = next((name for name, block in blocks.items() if block.bad[row]), next(iter(cells)))
             self._without_sample = self._error(name, cells[name][row], lines[row])
         kept = np.array(lines)[is_sample]
+        # Most blocks: two numbers then stand for the lines of all rows.
         is_contiguous = kept.size and kept[-1] - kept[0] == kept.size - 1
         self._lines.append((kept.size, int(kept[0]) if is_contiguous else kept))
 

@@ -132,6 +132,7 @@ def dialect_of(text: str, source: Path, requested: Sequence[str] = ()) -> Dialec
     }
     # Commas and spaces stand within numbers and stamps, too: other separators need half of their numbers.
     separator = max(SEPARATORS, key=lambda sign: counts[sign] * (1 if sign in ", " else 2))
+    # A header without samples: the separator that splits it most is right; the comma, if none does.
     if not counts[separator]:
         separator = max((",", *SEPARATORS), key=lambda candidate: len(rows_by_separator[candidate][0].cells))
     rows = rows_by_separator[separator]
@@ -146,6 +147,7 @@ def dialect_of(text: str, source: Path, requested: Sequence[str] = ()) -> Dialec
         raise LogError(source, problem, line=rows[0].line, column=first_requested)
     width = len(rows[first_data_row].cells) if first_data_row is not None else 0
     header, names = max(
+        # Of equal rows the last: names stand directly above the samples.
         reversed([row for row in header_rows if not _is_unit_row(row.cells)] or header_rows),
         key=lambda row: (
             sum(cell in requested or _without_unit(cell) in requested for cell in row.cells),
@@ -237,6 +239,7 @@ def _header_rows(rows_above: Sequence[_Row]) -> list[_Row]:
     """Return the rows above the samples that may be names or units."""
     rows: list[_Row] = []
     for line, cells in rows_above[: -HEADER_ROWS - 1 : -1]:
+        # A preamble has fewer cells than the header: what stands above it belongs to it.
         if rows and len(cells) < len(rows[0].cells):
             break
         rows.append(_Row(line, [COMMENT_MARK.sub("", cells[0]), *cells[1:]]))
@@ -250,6 +253,7 @@ def _is_unit_row(cells: Sequence[str]) -> bool:
     stripped = [cell.strip("[]() ") for cell in cells]
     body = stripped[1:] if stripped and stripped[0].lower() in UNIT_LABELS else stripped
     filled = [cell for cell in body if cell]
+    # A row of samples may hold a cell that looks like a unit, but 1 alone is the unit of a ratio.
     if any(map(is_number, set(filled) - {"1"})):
         return False
     unit_cells = [cell for cell in filled if parse_unit(cell)]

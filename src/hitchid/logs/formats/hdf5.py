@@ -122,6 +122,7 @@ def _datasets(h5py: Any, group: Any) -> Iterator[tuple[str, Dataset]]:
 
     Soft links are left out: their target has a name of its own.
     """
+    # Hard links can make a group its own member.
     seen = {_address(h5py, group)}
     pending = [("", group)]
     while pending:

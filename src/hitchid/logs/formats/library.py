@@ -34,6 +34,7 @@ def as_log_errors(path: Path, kind: str) -> Iterator[None]:
     """Turn any exception of a library into an error that names the file."""
     try:
         yield
+    # A lack of memory is told apart by the reader process: the file may be intact.
     except (LogError, MemoryError):
         raise
     except Exception as error:  # libraries raise anything on damaged files, down to AttributeError
@@ -112,6 +113,7 @@ def to_seconds(values: np.ndarray, unit: str | None) -> np.ndarray:
     factor = _seconds_per_unit(unit) or 1.0
     if factor == 1.0:
         return values
+    # By a whole number: 1 ms times 1e-3 would be rounded twice.
     return values / round(1 / factor) if factor < 1.0 else values * factor
 
 
@@ -134,6 +136,7 @@ def decode_values(raw: np.ndarray, attributes: Mapping[str, object]) -> np.ndarr
         lowest, highest = limits.tolist()
     else:
         lowest, highest = (_number(attributes.get(name)) for name in ("valid_min", "valid_max"))
+    # Stored numbers, before scaling: that is how CF states the valid range.
     values[values < (-np.inf if lowest is None else float(lowest))] = np.nan
     values[values > (np.inf if highest is None else float(highest))] = np.nan
     for name in ("_FillValue", "missing_value"):

@@ -54,6 +54,7 @@ def read(path: Path, blocks: Iterable[str], selection: ChannelSelection) -> Cont
         elif unique_names(segment.names) != names:
             problem = f"a segment has other channels; expected {', '.join(names)}"
             raise LogError(path, problem, line=segment.lines[0] - 1)
+        # A segment longer than a block comes in several parts, and starts once.
         if segment.first_row == 0:
             starts.append((segment.lines[0], _start_s(segment.header)))
         columns.add(segment.lines, _cells(segment, len(names), sign))
@@ -66,6 +67,7 @@ def read(path: Path, blocks: Iterable[str], selection: ChannelSelection) -> Cont
     clock: np.ndarray | None = None
     clocked = {}
     for name in names:
+        # An X column counts for the channels behind it, up to the next one.
         clock = clocks.get(name, clock)
         if name in content.channels:
             unit = "s" if name in clocks else content.channels[name].unit
@@ -108,6 +110,7 @@ def _cells(segment: _Segment, width: int, sign: str) -> list[list[str]]:
     """Return the cells of each column, with the times that the header gives instead of samples."""
     columns = [[row[k] if k < len(row) else "" for row in segment.rows] for k in range(width)]
     start, step = (segment.header.get(key, [""])[0].replace(",", ".") for key in ("X0", "Delta_X"))
+    # With no X column LabVIEW writes its header and leaves the cells empty.
     for k, name in enumerate(segment.names):
         if name == X and not any(columns[k]) and start and step:
             times = float(start) + float(step) * (segment.first_row + np.arange(len(segment.rows)))
@@ -130,6 +133,7 @@ def _clocks(
 ) -> dict[str, np.ndarray]:
     """Return the times of each X column, s, one segment after the other."""
     clocks = {name: content.channels[name].values for name in names}
+    # Times that go on from segment to segment need no dates.
     if len(starts) == 1 or not any(np.any(np.diff(clock) <= 0) for clock in clocks.values()):
         return clocks
     rows = next(iter(clocks.values())).size

@@ -54,6 +54,7 @@ def read(path: Path, selection: ChannelSelection) -> Content:
 
 def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     """Write columns of doubles, each under a name that may end in its unit, on the clock `time_s`."""
+    # A group of channels has one master, and at least one channel on its clock.
     if TIME not in columns or len(columns) < 2:
         raise InputError(f"expected a column '{TIME}' and one more, got {', '.join(columns) or 'none'}")
     asammdf = import_optional("asammdf", "mdf", path, purpose="write")

@@ -57,6 +57,7 @@ def check_complete(path: Path) -> bool:
                 raise LogError(path, "is truncated: its recording was never finished (unfinalized MDF)")
             return False
         size = stream.seek(0, 2)
+        # A link of zero leads nowhere; blocks may refer to each other in circles.
         seen, pending = {0, IDENTIFICATION}, [IDENTIFICATION] if version >= 400 else []
         while pending:
             links = _links(path, stream, pending.pop(), size)

@@ -24,26 +24,26 @@ STAMP = re.compile(
     """,
     re.VERBOSE,
 )
-MONTHS = {
+MONTHS = {  # English and German
     name: month
     for month, names in enumerate(
-        (
+        [
             "jan",
             "feb",
-            "mar mär mrz",
+            "mar/mär/mrz",
             "apr",
-            "may mai",
+            "may/mai",
             "jun",
             "jul",
             "aug",
             "sep",
-            "oct okt",
+            "oct/okt",
             "nov",
-            "dec dez",
-        ),
+            "dec/dez",
+        ],
         start=1,
     )
-    for name in names.split()
+    for name in names.split("/")
 }
 NS = 10**9  # in a second; stamps are counted in whole ns until the first is subtracted
 DAY_S, HOUR_S = 86_400, 3_600
@@ -142,6 +142,7 @@ def _ordinals(dates: Iterable[Date | None], order: str) -> np.ndarray | None:
         month = MONTHS.get(fields["m"][:3].lower()) or (int(fields["m"]) if fields["m"].isdigit() else 0)
         if not fields["y"].isdigit() or not fields["d"].isdigit() or len(fields["y"]) not in (2, 4):
             return None
+        # Two digits: no log is older than the millennium.
         year = int(fields["y"]) + (2000 if len(fields["y"]) == 2 else 0)
         try:
             days.append(date(year, month, int(fields["d"])).toordinal())
@@ -282,12 +283,14 @@ class Numerals:
         """
         text = "\n".join(cells)
         sign = self.sign or self._assumed or "."
+        # Python reads 1_000 and digits of other scripts as numbers, which no logger means.
         if text.isascii() and "_" not in text and (sign == "." or "." not in text):
             try:
                 plain = cells if sign == "." else [cell.replace(",", ".") for cell in cells]
                 return np.fromiter(map(float, plain), float, len(cells)), np.zeros(len(cells), dtype=bool)
             except ValueError:
                 pass
+        # The slow way is taken only where a cell is more than a plain number.
         has_thousands = SHORT_INTEGER.search(text) is not None
         values, bad = np.full(len(cells), np.nan), np.zeros(len(cells), dtype=bool)
         for row, cell in enumerate(map(str.strip, cells)):
@@ -303,6 +306,7 @@ class Numerals:
 
 def _number(cell: str, sign: str, *, has_thousands: bool) -> float | None:
     """Return the number of a cell, NaN for a missing value, None for other text."""
+    # Loggers and spreadsheets have many words for a missing value, none of them with a digit.
     if not any(map(str.isdigit, cell)) or "#" in cell:
         return WORDS.get(cell.lower(), float(cell) if NUMBER.fullmatch(cell) else np.nan)
     other = "," if sign == "." else "."

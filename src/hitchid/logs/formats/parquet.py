@@ -25,6 +25,7 @@ def read(path: Path, selection: ChannelSelection) -> Content:
         path.open("rb") as stream,
         parquet.ParquetFile(stream, page_checksum_verification=True) as file,
     ):
+        # One row is a table of parameters, not a log.
         fields = list(file.schema_arrow) if file.metadata.num_rows > 1 else []
         numeric_fields = {field.name: field for field in fields if _holds_numbers(arrow, field.type)}
         matches = match_channels(path, list(numeric_fields), selection)

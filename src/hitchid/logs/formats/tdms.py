@@ -2,7 +2,7 @@
 
 import re
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -80,6 +80,7 @@ def _count_data_bytes(path: Path, stream: BinaryIO) -> int:
     size = stream.seek(0, 2)
     position = segment_number = data_bytes = 0
     starts: dict[bytes, bytes] = {}
+    # An empty file has no segment to begin with, and must be refused.
     while position < size or not segment_number:
         segment_number += 1
         stream.seek(position)
@@ -99,30 +100,17 @@ def _count_data_bytes(path: Path, stream: BinaryIO) -> int:
             raise LogError(
                 path, f"cannot be read as {KIND}: the data of segment {segment_number} is outside the segment"
             )
-        for channel, start in _starts(stream.read(end - stream.tell() - raw)):
-            if starts.setdefault(channel, start) != start:
-                problem = f"contains several recordings, the next from segment {segment_number}"
-                raise LogError(
-                    path,
-                    f"{problem}; expected one recording per file",
-                    column=channel.decode(errors="replace"),
-                )
+        channel = b""
+        # npTDMS keeps only the last start of a channel: an appended recording would continue the one before.
+        for entry in START.finditer(stream.read(end - stream.tell() - raw)):
+            channel, start = entry["path"] or channel, entry["start"]
+            if start is not None and starts.setdefault(channel, start) != start:
+                problem = f"contains several recordings, the next from segment {segment_number}; expected one"
+                raise LogError(path, f"{problem} recording per file", column=channel.decode(errors="replace"))
         data_bytes += raw
         position = end
     stream.seek(0)
     return data_bytes
-
-
-def _starts(metadata: bytes) -> Iterator[tuple[bytes, bytes]]:
-    """Yield path and start time, as stored, of each channel with a start time in a segment's metadata.
-
-    npTDMS keeps only the last one: an appended recording would continue the one before it.
-    """
-    path = b""
-    for entry in START.finditer(metadata):
-        path, start = entry["path"] or path, entry["start"]
-        if start is not None:
-            yield path, start
 
 
 def _check_sample_counts(

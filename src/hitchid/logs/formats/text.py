@@ -54,6 +54,7 @@ def read(path: Path, selection: ChannelSelection) -> Content:
     names = requested or tuple(name for name, times in Counter(dialect.names).items() if name and times == 1)
     indices = [_column_index(path, dialect, name) for name in names]
     columns = Columns(path, names, strict=bool(requested), header=dialect.header)
+    # A full disk or lost power leaves zero bytes: they are counted, not refused, since the rest is good.
     zero_lines: list[int] = []
     others: list[list[str]] = []
     for first, block in _blocks_from_line(chain([head], blocks), dialect.first):
@@ -63,6 +64,7 @@ def read(path: Path, selection: ChannelSelection) -> Content:
             rows = rows[: -1 if columns.notices[-1] != NO_FINAL_NEWLINE else None]
         if not rows:
             continue
+        # Kept for the last block, which may hold a single row: others show how long its numbers are.
         others = rows[-LAST_ROWS:]
         if len(max(rows, key=len)) > len(dialect.names) or dialect.separator == " ":
             check_width(
@@ -111,6 +113,7 @@ def _rows(
             line = first + reader.line_num - 1
             raise LogError(path, f"cannot be parsed: {error}", line=line) from error
     lines = lines or range(first, first + len(rows))
+    # Only then can a row be blank: most blocks need no second look at their cells.
     if min(map(len, rows)) < 2:
         kept = [k for k, row in enumerate(rows) if any(map(str.strip, row))]
         lines, rows = [lines[k] for k in kept], [rows[k] for k in kept]
@@ -226,7 +229,14 @@ def _blocks(path: Path) -> Iterator[str]:
     rest, first = "", 1
     try:
         if path.suffix.lower() == ".gz":
-            _check_unpacked(path)
+            # Before anything is parsed: a few packed bytes may hold more rows than the memory.
+            max_bytes, size = max(ALWAYS_ALLOWED_BYTES, MAX_TEXT_RATIO * path.stat().st_size), 0
+            with gzip.open(path) as file:
+                for chunk in iter(partial(file.read, BLOCK), b""):
+                    size += len(chunk)
+                    if size > max_bytes:
+                        problem = f"unpacks to more than {MAX_TEXT_RATIO} times its size; check the file"
+                        raise LogError(path, problem)
         for chunk in _decode_text(path):
             text = rest + chunk
             for line, length in enumerate(map(len, text.split("\n")), start=first):
@@ -243,18 +253,9 @@ def _blocks(path: Path) -> Iterator[str]:
         raise LogError(path, f"is not text in its encoding: {error}") from error
     except (OSError, EOFError, zlib.error) as error:
         raise LogError(path, f"cannot be read: {error}") from error
+    # What follows the last line end is a block of its own: it may be cut, and is judged as such.
     if rest:
         yield rest
-
-
-def _check_unpacked(path: Path) -> None:
-    """Refuse a file that unpacks to too many bytes, or not at all, before it is parsed."""
-    max_bytes, size = max(ALWAYS_ALLOWED_BYTES, MAX_TEXT_RATIO * path.stat().st_size), 0
-    with gzip.open(path) as file:
-        for chunk in iter(partial(file.read, BLOCK), b""):
-            size += len(chunk)
-            if size > max_bytes:
-                raise LogError(path, f"unpacks to more than {MAX_TEXT_RATIO} times its size; check the file")
 
 
 def _decode_text(path: Path) -> Iterator[str]:
