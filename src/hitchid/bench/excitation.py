@@ -52,6 +52,13 @@ def precompensated(command: np.ndarray, dead_zone: float) -> np.ndarray:
     return np.where(command > 0, command + dead_zone, 0.0)
 
 
+def two_channel_command(direction: str, command: np.ndarray) -> np.ndarray:
+    """Return the commands of a test of one direction, lifting and lowering, shape [N, 2]."""
+    rows = np.zeros((len(command), len(DIRECTIONS)))
+    rows[:, DIRECTIONS.index(direction)] = command
+    return rows
+
+
 def ramp(*, top: float, duration_s: float, step_s: float = 0.01) -> np.ndarray:
     """Return a slow rise from zero to `top`: the static test."""
     return np.linspace(0.0, top, _count(duration_s, step_s))

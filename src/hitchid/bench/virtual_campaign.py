@@ -23,6 +23,7 @@ from hitchid.bench.excitation import (
     binary_command,
     cycle_commands,
     evaluate_ramps,
+    two_channel_command,
 )
 from hitchid.bench.measurement import measure
 from hitchid.bench.parameter_files import load_rig
@@ -263,12 +264,12 @@ def _ramps(rig: Rig, direction: str, repeats: int, seed: int) -> list[Log]:
     top, start = _saturation(rig, direction), _start(rig, direction)
     command = excitation.ramp(top=top, duration_s=RAMP_S)
     # As many at once as in the ramps below, so that both use one compiled program.
-    currents = np.stack([_two_channel_command(direction, command)] * repeats)
+    currents = np.stack([two_channel_command(direction, command)] * repeats)
     motion = simulate(rig, currents, initial_displacement_m=start)
     travel_m = np.abs(np.asarray(motion.displacement_m)[0] - start)
     if travel_m.max() >= RAMP_TRAVEL_M:
         top = float(command[np.argmax(travel_m >= RAMP_TRAVEL_M)])
-    command = _two_channel_command(direction, excitation.ramp(top=top, duration_s=RAMP_S))
+    command = two_channel_command(direction, excitation.ramp(top=top, duration_s=RAMP_S))
     names = [f"ramp-{direction}-{number:02d}" for number in range(1, repeats + 1)]
     return _logs(rig, names, [command] * repeats, [start] * repeats, seed)
 
@@ -292,7 +293,7 @@ def _dynamic(rig: Rig, direction: str, static: StaticResult, tests: int, seed: i
     highest = _highest_command(rig, direction, static, STROKE_FRACTION * 1e3 * rig_limits(rig).stroke_m)
     rng = np.random.default_rng([seed, DIRECTIONS.index(direction)])
     commands = [
-        _two_channel_command(direction, binary_command(highest, static.dead_zone, DYNAMIC_S, rng))
+        two_channel_command(direction, binary_command(highest, static.dead_zone, DYNAMIC_S, rng))
         for _ in range(tests)
     ]
     names = [f"{direction}-{number:02d}" for number in range(1, tests + 1)]
@@ -327,11 +328,6 @@ def _cycles(rig: Rig, static: Mapping[str, StaticResult], tests: int, seed: int)
 def _start(rig: Rig, direction: str) -> float:
     """Return the displacement a direction starts from, m: the bottom for lifting, the top for lowering."""
     return 0.0 if direction == LIFTING else rig_limits(rig).stroke_m
-
-
-def _two_channel_command(direction: str, command: np.ndarray) -> np.ndarray:
-    zeros = np.zeros_like(command)
-    return np.column_stack([command, zeros] if direction == LIFTING else [zeros, command])
 
 
 def _logs(
