@@ -36,7 +36,7 @@ class Sessions:
         """Return the token of a new link."""
         token = secrets.token_urlsafe(TOKEN_BYTES)
         self._links[token] = time.monotonic() + LINK_S
-        if len(self._links) > MOST_SESSIONS:
+        if len(self._links) > MOST_SESSIONS:  # a page that asks for links over and over costs no memory
             del self._links[next(iter(self._links))]
         return token
 
@@ -105,12 +105,14 @@ class Guard:
         """Return status and reason of a refusal, or no reason; a session is noted in the scope."""
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
         host, origin, path = headers.get("host", ""), headers.get("origin"), scope["path"]
+        # A name of elsewhere that leads here (DNS rebinding) makes its page the same origin for a browser.
         if host not in self._hosts:
             return 403, "the page is open at 127.0.0.1 and localhost only"
+        # Only the origin tells which page asks; where our own one reads, the browser gives none.
         is_change = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
         if (origin is not None or is_change) and origin != f"http://{host}":
             return 403, "the request comes from another page"
-        if not path.startswith(PROTECTED) or path == SESSION_PATH:
+        if not path.startswith(PROTECTED) or path == SESSION_PATH:  # what opens a session cannot need one
             return 200, ""
         cookies = http.cookies.SimpleCookie()
         try:
@@ -131,6 +133,7 @@ def cookie_name(port: int) -> str:
 
 
 def _with_headers(send: Send, path: str) -> Send:
+    # A report of the project may hold anything: it is shown, but runs nothing and asks nobody.
     policy = FILE_POLICY if path.startswith("/files/") else PAGE_POLICY
     headers = [
         (b"content-security-policy", policy.encode()),

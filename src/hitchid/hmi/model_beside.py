@@ -49,14 +49,14 @@ class ModelAdaptation:
         self._promoted: Counter[str] = Counter()
         self._strokes: Counter[str] = Counter()
         self._events = {kinds: deque[dict[str, Any]](maxlen=most) for kinds, most in SHOWN.items()}
-        for event in self._log.earlier:
+        for event in self._log.earlier:  # a promotion of an earlier sitting can be taken back as well
             self._count(event)
         self._directions = tuple(model.channels)
         executor = ThreadPoolExecutor(1)
         self._starting: Future[OnlineAdaptation] = executor.submit(
             OnlineAdaptation, model, log=self._take, earlier=self._log.earlier
         )
-        executor.shutdown(wait=False)
+        executor.shutdown(wait=False)  # its thread ends with this one task
         self._online: OnlineAdaptation | None = None
 
     @property
@@ -85,7 +85,7 @@ class ModelAdaptation:
         """
         if self._online is None:
             return False
-        self._at_s = begin_s
+        self._at_s = begin_s  # of the source's clock, by which the page shows when an event took effect
         return bool(self._online.feed(commands, displacement))
 
     def roll_back(self, direction: object) -> None:
@@ -205,7 +205,7 @@ class ModelBeside:
             "units": [units[LIFTING_COMMAND], units[DISPLACEMENT]],
             "step_s": source["step_s"],
         }
-        self.leave()
+        self.leave()  # only after all that may be refused: a wrong choice leaves the present one
         child = Child("hitchid.hmi.monitor_loop", settings, self._take, lambda: self._has_died(child))
         self._child, self.model, self._has_said_why = child, str(model), False
         self._on_change()
@@ -215,6 +215,7 @@ class ModelBeside:
         if self._child is not None:
             child = self._child
             self._has_ended(child)
+            # Beside the event loop: ending waits for the process, up to seconds.
             asyncio.get_running_loop().run_in_executor(None, child.end)
 
     def end(self) -> None:
@@ -283,7 +284,7 @@ class ModelBeside:
         self._has_ended(child)
 
     def _has_ended(self, child: Child) -> None:
-        if self._child is child:
+        if self._child is child:  # else it was left before: another one may have its place
             self._child = self.model = None
             self._pending.fail(ENDED)
             self._tell(NO_ADAPTATION)

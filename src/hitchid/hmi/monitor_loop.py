@@ -48,7 +48,7 @@ class MonitorLoop:
         self._block = max(1, round(BLOCK_S / step_s))
         self._monitor: Monitor | None = None
         self._is_running = False
-        self._waiting, self._latest_s = np.empty((0, 4)), np.inf
+        self._waiting, self._latest_s = np.empty((0, 4)), np.inf  # infinite: no gap before the first sample
         self._adaptation: ModelAdaptation | None = None
         self._reason, self._is_told = "", True
 
@@ -120,10 +120,12 @@ class MonitorLoop:
     def _predict(self, block: np.ndarray) -> list[tuple[int, np.ndarray]]:
         commands, measured = self._in_model_units(block)
         if not self._is_running and not np.isfinite(measured[0]):
-            return []
+            return []  # nowhere to start from
         if self._monitor is None:
             self._monitor = Monitor(self._identified, measured[0], block=self._block, horizon_s=HORIZON_S)
-            self._monitor.adjust(self._model)
+            self._monitor.adjust(
+                self._model
+            )  # made of the identified one, whose program stays
         elif not self._is_running:
             self._monitor.restart(measured[0])
         self._is_running = True
@@ -180,6 +182,7 @@ def main(arguments: Sequence[str]) -> None:
     """Predict until the server is gone, given the file descriptor of the connection and settings as JSON."""
     from hitchid._support.jax_setup import prepare_jax
 
+    # Ctrl-C ends the server, which ends this process: the change log is closed in order.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     connection, settings = Connection(int(arguments[0])), json.loads(arguments[1])
     loop = None
@@ -202,6 +205,7 @@ def main(arguments: Sequence[str]) -> None:
 
 def _proceed(loop: MonitorLoop, connection: Connection, waiting: deque[bytes]) -> None:
     """Take a message: a request is answered at once, samples are predicted when no message is left."""
+    # Else a button would wait for the predictions of seconds that have piled up.
     if waiting and not connection.poll():
         rows = np.frombuffer(waiting.popleft()[len(BLOCK) :]).reshape(-1, COLUMNS)
         for kind, predicted in loop.advance(rows[:, 1:]):
