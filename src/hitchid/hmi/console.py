@@ -172,7 +172,7 @@ class Console:
         """
         kind = request.get("type")
         is_operator = self.clients.operator == client.name
-        if kind == "heartbeat":  # ten a second: neither answered nor logged
+        if kind == "heartbeat":  # several a second: neither answered nor logged
             if is_operator and self._bench is not None:
                 self._bench.send({"type": "page_alive", "at_s": time.monotonic()})
             return

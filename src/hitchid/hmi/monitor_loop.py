@@ -123,9 +123,7 @@ class MonitorLoop:
             return []  # nowhere to start from
         if self._monitor is None:
             self._monitor = Monitor(self._identified, measured[0], block=self._block, horizon_s=HORIZON_S)
-            self._monitor.adjust(
-                self._model
-            )  # made of the identified one, whose program stays
+            self._monitor.adjust(self._model)  # made of the identified one, whose program stays
         elif not self._is_running:
             self._monitor.restart(measured[0])
         self._is_running = True
