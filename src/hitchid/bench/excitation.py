@@ -40,6 +40,7 @@ def evaluate_ramps(ramps: Sequence[Record], direction: str) -> StaticResult:
         LogError: a ramp ends before the piston moves.
     """
     sign = 1 if direction == LIFTING else -1
+    # The same estimate as in an identification: levels are then effective for the model, too.
     zone = from_ramps(ramps, direction, sign).value
     tail = slice(-round(RAMP_TAIL_S / ramps[0].step_s), None)
     speeds = [sign * np.polyfit(ramp.time_s[tail], ramp.displacement[tail], 1)[0] for ramp in ramps]
@@ -122,6 +123,7 @@ def duty_cycle(
         level = rng.uniform(*levels[0 if up else 1])
         speed = level * speeds[0 if up else 1]
         available = (highest - height) if up else (height - lowest)
+        # Ended by what is left of the way, as far as its speed predicts it: not at a stop.
         hold_s = min(rng.uniform(1.0, 3.0), max(available, 0.0) / speed)
         stop = sample + round(hold_s / step_s)
         commands[0 if up else 1, sample:stop] = level

@@ -175,6 +175,7 @@ def at_rest(rig: Rig, displacement: Values, load_force: Values) -> RigState:
     zero = jnp.zeros_like(displacement)
     friction = rig.cylinder.friction
     pressure = hold_pressure(rig, displacement, load_force) + friction.coulomb / rig.cylinder.area
+    # Not from neutral friction: its lost motion at the first command would look like a lag.
     supply_pressure = rig.supply.idle_pressure()
     return RigState(
         lifting=rig.lifting_valve.spool.rest(),
@@ -364,6 +365,7 @@ def _solve(
     cylinder, half = rig.cylinder, 0.5 * dt
     supply_capacity = rig.supply.capacity(rig.oil, state.supply_pressure, supply_amount(state))
     capacity = rig.oil.capacity(state.pressure, cylinder_amount(state), cylinder.compliance)
+    # Volumes are at tank pressure, but the piston sweeps oil under pressure.
     effective_area = cylinder.area / rig.oil.specific_volume(state.pressure)
     (pump, pump_slope), (relief, relief_slope), (lift, lift_slope) = flows.pump, flows.relief, flows.lift
     (lower, lower_slope), (safety, safety_slope), (leak, leak_slope) = flows.lower, flows.safety, flows.leak

@@ -96,6 +96,7 @@ def _chain(rig: Rig, point: OperatingPoint, is_lifting: bool) -> Array:
     """Return the fields of a `SmallSignal`, shape [4]."""
     rig = at_temperature(rig, jnp.asarray(point.oil_temperature_c))
     steady = _steady_lifting(rig, point) if is_lifting else _steady_lowering(rig, point)
+    # Leakage goes to tank: it takes from the flow that lifts, and adds to the one that lowers.
     leakage_sign = -1.0 if is_lifting else 1.0
     displacement = jnp.asarray(point.displacement_m)
     load = rig.linkage.load(displacement)

@@ -303,6 +303,7 @@ class LiftingValve(eqx.Module):
         has Δp_m where a_k = a_m √(Δp_m/(Δp − Δp_m)); with too little pressure the compensator is fully open.
         """
         metering = self.metering_drop(compensator)
+        # Never zero: the square root below must have a derivative where the pressure does not suffice.
         rest = jnp.maximum(drop - metering, 1e-3 * metering)
         return jnp.minimum(area * jnp.sqrt(metering / rest), self.compensator_area)
 

@@ -188,12 +188,12 @@ def run(
     if conditions is not None:
         measured = []
         for number, condition in enumerate(conditions.of(rig)):
-            rng = np.random.default_rng([seed, number])
+            rng = np.random.default_rng([seed, number])  # whatever the other conditions draw
             for log in run(condition.rig, tests, directions, seed=int(rng.integers(2**31))):
                 columns = {**log.columns, **condition.readings(log.pressure_pa, rng)}
                 measured.append(replace(log, name=f"{log.name}-{condition.name}", columns=columns))
         return measured
-    excited = DIRECTIONS if "cycle" in tests else directions
+    excited = DIRECTIONS if "cycle" in tests else directions  # ramps also of what is not asked for
     ramps = {direction: _ramps(rig, direction, tests.get("ramp", REPEATS), seed) for direction in excited}
     static = {
         direction: evaluate_ramps([_record(log) for log in logs], direction)
@@ -248,6 +248,7 @@ def write_campaign(
 
     def fill(folder: Path) -> None:
         (folder / TRUTH).mkdir()
+        # Beside the logs, not among their signals: what is identified from them must not see it.
         for log in logs:
             write_table(folder / f"{log.name}.{suffix}", log.columns)
             truth = {"time_s": log.columns["time_s"], "displacement_true_mm": log.truth}
@@ -267,6 +268,7 @@ def _ramps(rig: Rig, direction: str, repeats: int, seed: int) -> list[Log]:
     currents = np.stack([two_channel_command(direction, command)] * repeats)
     motion = simulate(rig, currents, initial_displacement_m=start)
     travel_m = np.abs(np.asarray(motion.displacement_m)[0] - start)
+    # A ramp to the end of its travel would spend most of its time at the stop.
     if travel_m.max() >= RAMP_TRAVEL_M:
         top = float(command[np.argmax(travel_m >= RAMP_TRAVEL_M)])
     command = two_channel_command(direction, excitation.ramp(top=top, duration_s=RAMP_S))

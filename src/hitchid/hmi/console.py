@@ -325,13 +325,14 @@ class Console:
 
     def _project_changed(self) -> None:
         self.clients.publish({"type": "project_changed"})
-        task = asyncio.get_running_loop().create_task(self._tell_sources())
+
+        async def tell() -> None:
+            # Looking for logs to replay takes a while where there are many.
+            self.clients.publish({"type": "sources", "sources": await asyncio.to_thread(self._sources)})
+
+        task = asyncio.get_running_loop().create_task(tell())
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
-
-    async def _tell_sources(self) -> None:
-        """Look for logs to replay, which takes a while where there are many, and tell all pages."""
-        self.clients.publish({"type": "sources", "sources": await asyncio.to_thread(self._sources)})
 
 
 def _append(path: Path, line: bytes) -> None:

@@ -46,7 +46,7 @@ class Sessions:
         With one too many the session that was used longest ago ends, but none that has a connected page.
         """
         # Each is compared, in constant time: how long a refusal takes tells nothing of the links there are.
-        matching = [known for known in self._links if isinstance(token, str) and _is_equal(known, token)]
+        matching = [link for link in self._links if isinstance(token, str) and _is_equal(link, token)]
         if not matching or self._links.pop(matching[0]) < time.monotonic():
             return None
         if len(self._pages) >= MOST_SESSIONS:
@@ -58,12 +58,12 @@ class Sessions:
         self._pages[session] = 0
         return session
 
-    def known(self, given: str) -> str | None:
-        """Return the session that was given, which counts as used; None where there is none."""
-        found = next((session for session in self._pages if _is_equal(session, given)), None)
-        if found is not None:
-            self._pages[found] = self._pages.pop(found)
-        return found
+    def session_of(self, cookie: str) -> str | None:
+        """Return the session of a cookie, which counts as used; None where there is none."""
+        session = next((own for own in self._pages if _is_equal(own, cookie)), None)
+        if session is not None:  # to the end of the order, whose first is ended where there is one too many
+            self._pages[session] = self._pages.pop(session)
+        return session
 
     def connect(self, session: str) -> None:
         """Count a page that is connected from now on."""
@@ -74,9 +74,9 @@ class Sessions:
         self._pages[session] -= 1
 
 
-def _is_equal(known: str, given: str) -> bool:
+def _is_equal(own: str, given: str) -> bool:
     # "replace": half a character, as JSON can carry it, has no bytes of its own
-    return secrets.compare_digest(known.encode(), given.encode(errors="replace"))
+    return secrets.compare_digest(own.encode(), given.encode(errors="replace"))
 
 
 class Guard:
@@ -120,7 +120,7 @@ class Guard:
         except http.cookies.CookieError:
             return 401, "open the link that hitchid printed"
         morsel = cookies.get(self.cookie)
-        session = morsel and self._sessions.known(morsel.value)
+        session = morsel and self._sessions.session_of(morsel.value)
         if not session:
             return 401, "open the link that hitchid printed"
         scope[SESSION] = session

@@ -226,7 +226,11 @@ def read_commands(path: Path, step_s: float) -> np.ndarray:
             rows = np.loadtxt(file, delimiter=",", ndmin=2)
     except (OSError, ValueError) as error:
         raise InputError(f"{path.name}: cannot be read: {error}; expected a CSV of numbers") from error
-    given = [_column(names, COMMAND[direction]) for direction in DIRECTIONS]
+    given: list[int | None] = []
+    for role in map(COMMAND.__getitem__, DIRECTIONS):
+        default = getattr(DEFAULT_SIGNALS, role).column
+        matching = (number for number, name in enumerate(names) if name == default or name.startswith(role))
+        given.append(next(matching, None))
     if names[:1] != ["time_s"] or given == [None, None] or rows.shape[1] != len(names) or len(rows) < 2:
         raise InputError(
             f"{path.name}: has the columns {', '.join(names)}; expected time_s first, then lifting_command, "
@@ -248,9 +252,3 @@ def read_commands(path: Path, step_s: float) -> np.ndarray:
     clock = np.arange(count) * step_s + time_s[0]
     held = np.searchsorted(time_s, clock + 1e-6 * step_s, side="right") - 1  # against rounding of the times
     return commands[held]
-
-
-def _column(names: list[str], role: str) -> int | None:
-    default = getattr(DEFAULT_SIGNALS, role).column
-    matching = [number for number, name in enumerate(names) if name == default or name.startswith(role)]
-    return matching[0] if matching else None

@@ -86,10 +86,10 @@ def file_inside(project: Path, path: object) -> Path:
     Raises:
         InputError: there is none, or it is outside, or no regular file: a pipe could be waited for for ever.
     """
-    found = inside(project, path)
-    if not found.is_file():
+    file = inside(project, path)
+    if not file.is_file():
         raise InputError(f"path: expected a file, got {path!r:.80}")
-    return found
+    return file
 
 
 def place(project: Path, path: str) -> Path:
@@ -160,13 +160,13 @@ def contents(project: Path) -> dict[str, object]:
 def logs(project: Path) -> list[str]:
     """Return the newest logs of campaigns, drives and recordings, relative to the project."""
     campaigns = [entry["path"] for entry in _entries(project, CAMPAIGNS)]
-    found = [
+    dated = [
         (_changed_s(child), f"{folder}/{child.name}")
         for folder in (*campaigns, DRIVES, RECORDINGS)
         for child in _children(project, folder)
         if _is_log(child)
     ]
-    return [path for _, path in sorted(found, reverse=True)[:MOST_LOGS]]
+    return [path for _, path in sorted(dated, reverse=True)[:MOST_LOGS]]
 
 
 def _is_log(child: os.DirEntry[str]) -> bool:
@@ -176,18 +176,18 @@ def _is_log(child: os.DirEntry[str]) -> bool:
 
 def _children(project: Path, folder: str) -> list[os.DirEntry[str]]:
     """Return what is in a folder, and in the project also where links lead to."""
-    place, root = project / folder, os.path.realpath(project)
-    if not place.is_dir() or not _is_inside(root, place):
+    path, root = project / folder, os.path.realpath(project)
+    if not path.is_dir() or not _is_inside(root, path):
         return []
     return [
         child
-        for child in os.scandir(place)
+        for child in os.scandir(path)
         if NAME.fullmatch(child.name) and (not child.is_symlink() or _is_inside(root, Path(child.path)))
     ]
 
 
-def _is_inside(root: str, place: Path) -> bool:
-    return Path(os.path.realpath(place)).is_relative_to(root)
+def _is_inside(root: str, path: Path) -> bool:
+    return Path(os.path.realpath(path)).is_relative_to(root)
 
 
 def _changed_s(child: os.DirEntry[str]) -> float:

@@ -29,8 +29,8 @@ class History:
 
     def append(self, rows: np.ndarray) -> None:
         """Append samples, shape [N, columns]; the oldest are overwritten."""
-        places = (self._count + np.arange(len(rows))) % len(self._rows)
-        self._rows[places] = rows
+        slots = (self._count + np.arange(len(rows))) % len(self._rows)
+        self._rows[slots] = rows
         self._count += len(rows)
 
     def decimated(self, begin_s: float, end_s: float, points: int) -> np.ndarray:
@@ -68,9 +68,9 @@ class SpeedEstimate:
         if self._before is None:
             # As if it had rested before: the speed at the start is zero, not that from nowhere.
             self._before = np.repeat(pairs[:1], self._span, axis=0)
-        known = np.concatenate([self._before, pairs])
-        self._before = known[-self._span :]
-        elapsed_s, travel = (known[self._span :] - known[: -self._span]).T
+        recent = np.concatenate([self._before, pairs])
+        self._before = recent[-self._span :]
+        elapsed_s, travel = (recent[self._span :] - recent[: -self._span]).T
         return np.divide(travel, elapsed_s, out=np.zeros(len(rows)), where=elapsed_s > 0)
 
 
@@ -129,16 +129,16 @@ class Recorder:
 
     def _open(self, root: Path, path: str, header: bytes) -> None:
         try:
-            place = project.place(root, path)
+            project.place(root, path)
             # Made here or not at all: another log of this name may have come since it was looked for.
-            self._file = os.open(place, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_EXCL, 0o644)
+            self._file = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_EXCL, 0o644)
         except OSError as error:
             raise OutputError(f"{path}: cannot be written: {error.strerror}; choose another name") from error
         try:
             self._write(header)
         except OutputError:
             self._close()
-            place.unlink(missing_ok=True)  # an empty log would only keep its name from being used
+            self.path.unlink(missing_ok=True)  # an empty log would only keep its name from being used
             raise
 
     def _write(self, data: bytes) -> None:

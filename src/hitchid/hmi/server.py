@@ -138,7 +138,7 @@ class Server:
                 and (connection.cycle is None or connection.cycle.response_complete)
             ]
             # By request: the time counts anew for each further one of a connection that is kept.
-            since_s = {place: since_s.get(place, now_s) for place in waiting}
+            since_s = {request: since_s.get(request, now_s) for request in waiting}
             for (connection, _), begun_s in since_s.items():
                 if now_s - begun_s > LONGEST_REQUEST_S:
                     connection.transport.abort()

@@ -257,7 +257,7 @@ class Live:
         In a stream that is as slow, far ahead is usual.
         """
         if offset >= 0:
-            since_s = stamp - max((each for each in self._heard_s if each < stamp), default=-math.inf)
+            since_s = stamp - max((own for own in self._heard_s if own < stamp), default=-math.inf)
             return offset > self._most_taken_back and not KEPT_S < since_s <= usual_s
         return stamp <= self._settled_s or stamp == self._latest_s
 

@@ -89,6 +89,12 @@ class StrokeErrors:
         covered = channel.operating_range.displacement
         # Where strokes that fill up a window stand still: a displacement of the tests.
         self._still = float(np.clip(0.0, covered.lowest, covered.highest))
+        # The stop ahead: that of the identification, else one that logs reached; a limit alone ends nothing.
+        self._stop, limits = channel.end_stop, channel.limits
+        if self._stop is None and limits is not None:
+            upper, lower = (limits.upper, limits.upper_stop), (limits.lower, limits.lower_stop)
+            end, is_stop = upper if channel.sign > 0 else lower
+            self._stop = end if is_stop else None
         self._bands = bands
         self._members = None
         if bands is not None:  # the perturbed channels as one, whose arrays have them along the first axis
@@ -175,10 +181,9 @@ class StrokeErrors:
         mean = whole.reshape(blocks, -1).mean(axis=1)
         displacement = stroke.displacement[: len(kept) : self._factor]
         measured = np.isfinite(displacement)
-        stop = _stop_ahead(self.channel)
-        if stop is not None:  # from which on the model says nothing of the speed
+        if self._stop is not None:  # from which on the model says nothing of the speed
             margin = STOP_SHARE * range_of_tests(self.channel)
-            reached = np.nan_to_num(self.channel.sign * (stop - displacement), nan=np.inf) <= margin
+            reached = np.nan_to_num(self.channel.sign * (self._stop - displacement), nan=np.inf) <= margin
             measured &= ~np.maximum.accumulate(reached)
         return mean, displacement, measured
 
@@ -221,17 +226,6 @@ class StrokeRuns(NamedTuple):
         travel = float(np.ptp(self.displacement[0][self.measured]))
         squares, gradient = float(self.squares[number]), self.gradients[number]
         return StrokeFit(self.changes[number], squares, gradient, self.information, travel)
-
-
-def _stop_ahead(channel: Channel) -> float | None:
-    """Return the end stop towards which a channel moves; None where none was met."""
-    limits = channel.limits
-    # A stop that was identified, else one that the logs reached; a limit without a stop ends no motion.
-    if channel.end_stop is not None or limits is None:
-        return channel.end_stop
-    if channel.sign > 0:
-        return limits.upper if limits.upper_stop else None
-    return limits.lower if limits.lower_stop else None
 
 
 def _simulated(channel: Channel, batch: Batch, changes: Float[Array, "3"]) -> Float[Array, "t n"]:

@@ -131,6 +131,7 @@ def direction_result(
     ours = _subsets(default, campaign, direction, closed_loop=False)
     theirs = _subsets(paper, campaign, direction, closed_loop=True)
     channel = paper.model.channels[direction]
+    # In the channel of the paper's method, so that batches and units are the same.
     unfitted = replace(channel, benchmark=mechanistic.physical_model, dead_zone=mechanistic.dead_zone)
     held_out = campaign.held_out(direction)
     test = replace(
