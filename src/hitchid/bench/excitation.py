@@ -44,6 +44,7 @@ def evaluate_ramps(ramps: Sequence[Record], direction: str) -> StaticResult:
     zone = from_ramps(ramps, direction, sign).value
     tail = slice(-round(RAMP_TAIL_S / ramps[0].step_s), None)
     speeds = [sign * np.polyfit(ramp.time_s[tail], ramp.displacement[tail], 1)[0] for ramp in ramps]
+    # At the end of the ramps, where the notches are open: near the dead zone speed over command is smaller.
     effective = np.mean([ramp.command(direction)[tail].mean() - zone for ramp in ramps])
     return StaticResult(zone, float(np.mean(speeds) / effective))
 
@@ -88,6 +89,7 @@ def prbs(
     count, hold_samples = _count(duration_s, step_s), max(1, round(clock_s / step_s))
     rest = round(rest_s / step_s)
     clocks = -(-(count - rest) // hold_samples)
+    # The shortest register that does not repeat itself within the test.
     bits = max(4, int(np.ceil(np.log2(clocks + 1))))
     state = np.random.default_rng(seed).integers(0, 2, bits)
     # A register of zeros would never leave them.
@@ -190,5 +192,6 @@ def cycle_commands(
         seed=seed,
         step_s=step_s,
     )
+    # Effective until here, so that strokes are predicted by one speed a direction.
     zones = [static[direction].dead_zone for direction in DIRECTIONS]
     return np.column_stack(list(map(precompensated, pair, zones)))

@@ -95,6 +95,7 @@ def at_temperature(rig: Rig, temperature: Scalar) -> Rig:
 
     σ₂ grows with viscosity, leakage falls with it.
     """
+    # Once before a run: within it the oil does not warm, unless the rig itself is changed.
     ratio = rig.oil.viscosity_ratio(temperature)
     return eqx.tree_at(
         lambda r: (r.cylinder.friction.viscous, r.cylinder.leakage),
@@ -307,6 +308,7 @@ def _step_valves(rig: Rig, state: RigState, inputs: RigInputs, steps: StepFactor
     lowering = lower_valve.spool.advance(state.lowering, inputs.lowering, steps.lowering)
     lift_area = lift_valve.spool.area(0.5 * (state.lifting.position + lifting.position))
     lower_area = lower_valve.spool.area(0.5 * (state.lowering.position + lowering.position))
+    # The compensator follows the opening at which both orifices would be in balance now, with its lag.
     drop = state.supply_pressure - state.pressure
     spools = lift_valve.balanced_opening(lift_area, state.compensator, drop - lift_valve.check_pressure)
     compensator = spools + (state.compensator - spools) * steps.compensator

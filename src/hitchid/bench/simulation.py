@@ -128,7 +128,7 @@ def _broadcast(name: str, value: object, shape: tuple[int, ...]) -> Array:
 def check_range(name: str, array: Array, low: float, high: object) -> None:
     """Raise InputError where a value is not finite or beyond its limits; in a compiled program nothing."""
     if isinstance(array, Tracer) or isinstance(high, Tracer):
-        return
+        return  # there are no values to look at
     values, top = np.asarray(array), float(np.asarray(high))
     if not np.all(np.isfinite(values)):
         raise InputError(f"{name}: a value is not finite")

@@ -138,6 +138,7 @@ def _steady_lowering(rig: Rig, point: OperatingPoint) -> SteadyState:
         0, 20, fixed_point_step, (frictionless_pressure, jnp.zeros_like(frictionless_pressure))
     )
     flow, flow_pressure = flow_at(current, pressure)
+    # At the pressure of the steady state: how that changes with the flow is the term of k_c.
     flow_gain = jax.grad(lambda coil: flow_at(coil, pressure)[0])(current)
     return SteadyState(pressure, speed, flow, flow_gain, flow_pressure)
 

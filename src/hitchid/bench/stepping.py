@@ -40,6 +40,7 @@ def real_time(
     """
     start = clock()
     for sample in count():
+        # From the start, not from the last sample, whose lateness would add up.
         early = start + sample * SAMPLE_S - clock()
         if early > 0:
             sleep(early)

@@ -112,6 +112,7 @@ class Conditions:
                     f"consumer_l_min: expected from 0 to less than the pump's {pump_l_min:.4g} l/min, "
                     f"got {consumer:g}"
                 )
+            # The consumer comes before the hitch, and so takes from what the pump delivers.
             values = (mass, oil_c, (pump_l_min - consumer) * LITRES_PER_MIN)
             changed = in_condition(rig, tuple(map(jnp.asarray, values)))
             flow = f"-{consumer:g}lpm" if self.consumer_l_min != (0.0,) else ""
@@ -282,6 +283,7 @@ def _highest_command(rig: Rig, direction: str, static: StaticResult, travel_mm: 
     in_travel = travel_mm / (static.speed_per_command * DYNAMIC_S)
     if direction != LIFTING:
         return min(in_range, in_travel)
+    # Lowering is driven by the load, not by the pump.
     in_flow = FLOW_FRACTION * 1e3 * rig_limits(rig).lifting_speed_m_s / static.speed_per_command
     return min(in_range, in_travel, in_flow)
 
@@ -293,6 +295,7 @@ def _saturation(rig: Rig, direction: str) -> float:
 
 def _dynamic(rig: Rig, direction: str, static: StaticResult, tests: int, seed: int) -> list[Log]:
     highest = _highest_command(rig, direction, static, STROKE_FRACTION * 1e3 * rig_limits(rig).stroke_m)
+    # By direction: its tests are the same whether the other one is asked for or not.
     rng = np.random.default_rng([seed, DIRECTIONS.index(direction)])
     commands = [
         two_channel_command(direction, binary_command(highest, static.dead_zone, DYNAMIC_S, rng))
@@ -349,5 +352,5 @@ def _record(log: Log) -> Record:
     roles = (DISPLACEMENT, *(COMMAND[direction] for direction in DIRECTIONS))
     names, units = ("displacement_mm", "current_up_A", "current_down_A"), ("mm", "A", "A")
     signals = {role: log.columns[name] for role, name in zip(roles, names, strict=True)}
-    step_s = float(np.median(np.diff(log.columns["time_s"])))
+    step_s = float(np.median(np.diff(log.columns["time_s"])))  # of stamps as a reader would take it
     return Record(log.name, step_s, signals, dict(zip(roles, units, strict=True)), kind=RAMP)

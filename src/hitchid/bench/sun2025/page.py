@@ -217,6 +217,7 @@ def _test_set(direction: str, result: DirectionResult, unit: str) -> Table:
         rows.append((f"{label}, here", *_row(ours)))
         if theirs is not None:
             rows.append((f"{label}, paper", *_row(theirs)))
+    # What one step ahead is worth: the error of saying that the piston stays where it was measured.
     persistence = np.concatenate([np.diff(actual) for actual in result.test.actual])
     rows.append(
         (
