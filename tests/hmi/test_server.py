@@ -233,10 +233,11 @@ def test_nothing_is_told_without_the_cookie(session, cookie):
     for method, path in NEEDS_COOKIE:
         refusal = session.refusal(method, path, "{}", Cookie=cookie)
         assert refusal == (401, "open the link that hitchid printed"), path
-    with pytest.raises(InvalidStatus) as refused, session.page(Cookie=cookie or ""):
-        pass
-    assert refused.value.response.status_code in (401, 403)
     assert not (session.root / "uploads" / "b.csv").exists()
+    if cookie is None or cookie.isprintable():  # the client of this test sends no other as a websocket
+        with pytest.raises(InvalidStatus) as refused, session.page(Cookie=cookie or ""):
+            pass
+        assert refused.value.response.status_code in (401, 403)
 
 
 FOREIGN = [
