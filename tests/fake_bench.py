@@ -14,7 +14,9 @@ STEP_S = 0.01
 STROKE = 250.0  # mm
 GAINS = (100.0, 80.0)  # mm/(s·A)
 DEAD_ZONES = (0.35, 0.25)  # A
-LIMITS = Limits((0.9, 0.8), (0.0, STROKE))
+LIMITS = Limits(
+    lifting_command=0.9, lowering_command=0.8, lowest_displacement=0.0, highest_displacement=STROKE
+)
 LIMITS_FILE = """\
 lifting_command = 0.9
 lowering_command = 0.8

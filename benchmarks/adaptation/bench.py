@@ -4,13 +4,13 @@ from collections.abc import Iterator, Sequence
 from functools import lru_cache
 
 import numpy as np
+from benchmarks.adaptation.work import Work, work
 from benchmarks.scheduling import FAST, campaign, without_covariates
 from jax.typing import ArrayLike
 
 import hitchid
 from hitchid.bench import load_rig
 from hitchid.bench.virtual_campaign import Conditions
-from hitchid.bench.work import Work, work
 from hitchid.live import AdaptationSettings, Adapter, AdapterState, Event, Stroke, StrokeCutter
 from hitchid.logs.record import DIRECTIONS, Record
 from hitchid.model import Hitch

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 from benchmarks.adaptation.bench import RIGS, at_work, errors, identified, nominal, rms, run, strokes_of
 from benchmarks.adaptation.figure import Figure
+from benchmarks.adaptation.work import Work
 from benchmarks.scheduling import show
 
-from hitchid.bench.work import Work
 from hitchid.live import AdaptationSettings, Adapter
 from hitchid.live.events import CHANGE_DETECTED, LEARNED
 from hitchid.logs.record import DIRECTIONS

@@ -45,4 +45,4 @@ def test_samples_after_a_late_one_catch_up() -> None:
 
 def test_the_machines_own_clock_is_the_default() -> None:
     late = list(islice(real_time(), 5))
-    assert all(0 <= each < 1 for each in late)
+    assert all(0 <= lateness < 1 for lateness in late)

@@ -31,50 +31,43 @@ def phasor(signal: np.ndarray, omega: float, time_s: np.ndarray) -> complex:
     return complex(cosine, -sine)
 
 
-def test_small_motions_follow_the_third_order_transfer_function(linear_rig):
-    """Spool current to displacement is K/(s(s²/ωh² + 2ξh s/ωh + 1)), behind the compensator's lag."""
-    omegas, time_s = 2 * np.pi * np.array([0.5, 1.0, 2.5, 5.0]), SAMPLE_S * np.arange(1001)
+@pytest.mark.parametrize(
+    ("column", "start", "frequencies_hz", "late"),
+    [
+        (0, 0.1, (0.5, 1.0, 2.5, 5.0), slice(200, 900)),
+        # Up to, at and beyond its resonance; the swing at the start has died away by 4 s:
+        # exp(−ξh ωh · 4 s) < 1e-4.
+        (1, 0.2, (0.5, 1.0, 1.5, 5.0), slice(400, 800)),
+    ],
+    ids=["lifting", "lowering"],
+)
+def test_small_motions_follow_the_third_order_transfer_function(
+    linear_rig, column, start, frequencies_hz, late
+):
+    """Spool current to travel is K/(s(s²/ωh² + 2ξh s/ωh + 1)), lifting behind the compensator's lag."""
+    omegas, time_s = 2 * np.pi * np.array(frequencies_hz), SAMPLE_S * np.arange(1001)
     currents = np.zeros((4, time_s.size, 2))
-    currents[..., 0] = CURRENT_A + AMPLITUDE_A * np.sin(omegas[:, None] * time_s)
-    motion = simulate(linear_rig, currents, initial_displacement_m=0.1, substeps=20)
+    currents[..., column] = CURRENT_A + AMPLITUDE_A * np.sin(omegas[:, None] * time_s)
+    motion = simulate(linear_rig, currents, initial_displacement_m=start, substeps=20)
+    valve = (linear_rig.lifting_valve, linear_rig.lowering_valve)[column]
+    spool = (motion.lifting_spool, motion.lowering_spool)[column]
+    linearised = (small_signal, lowering_small_signal)[column]
     for row, omega in enumerate(omegas):
-        assert abs(_response(linear_rig, motion, row, omega, time_s) - 1) < 0.05
-
-
-def _response(rig, motion, row: int, omega: float, time_s: np.ndarray) -> complex:
-    """Return the simulated response over the linear one."""
-    late = slice(200, 900)
-    valve = rig.lifting_valve
-    displacement = np.asarray(motion.displacement_m)[row, late]
-    current = np.asarray(motion.lifting_spool)[row, late] * float(valve.spool.saturation)
-    response = 1e3 * phasor(displacement, omega, time_s[late]) / phasor(current, omega, time_s[late])
-    chain = small_signal(rig, OperatingPoint(float(np.mean(displacement)), CURRENT_A))
-    s = 1j * omega
-    lagged = (s / chain.natural_frequency) ** 2 + 2 * chain.damping_ratio * s / chain.natural_frequency + 1
-    drop = float(np.mean(np.asarray(motion.supply_pressure_pa - motion.pressure_pa)[row, late]))
-    opening = jnp.asarray(np.mean(np.asarray(motion.compensator_m2)[row, late]))
-    share = float(valve.metering_drop(opening)) / (drop - float(valve.check_pressure))
-    lag = float(valve.compensator_lag) * s
-    # the metering edge acts at once on its share of the pressure drop, the compensator later on the rest
-    return response / (chain.gain / (s * lagged) * (1 + share * lag) / (1 + lag))
-
-
-def test_small_motions_of_lowering_follow_theirs(linear_rig):
-    """The downward travel is K/(s(s²/ωh² + 2ξh s/ωh + 1)), up to, at and beyond its resonance."""
-    omegas, time_s = 2 * np.pi * np.array([0.5, 1.0, 1.5, 5.0]), SAMPLE_S * np.arange(1001)
-    currents = np.zeros((4, time_s.size, 2))
-    currents[..., 1] = CURRENT_A + AMPLITUDE_A * np.sin(omegas[:, None] * time_s)
-    motion = simulate(linear_rig, currents, initial_displacement_m=0.2, substeps=20)
-    # The swing at the start has died away by 4 s: exp(−ξh ωh · 4 s) < 1e-4.
-    late, saturation = slice(400, 800), float(linear_rig.lowering_valve.spool.saturation)
-    for row, omega in enumerate(omegas):
-        displacement = np.asarray(motion.displacement_m)[row, late]
-        current = saturation * np.asarray(motion.lowering_spool)[row, late]
-        response = -1e3 * phasor(displacement, omega, time_s[late]) / phasor(current, omega, time_s[late])
-        chain = lowering_small_signal(linear_rig, OperatingPoint(float(np.mean(displacement)), CURRENT_A))
-        s = 1j * omega
+        travel = (1e3, -1e3)[column] * np.asarray(motion.displacement_m)[row, late]
+        current = float(valve.spool.saturation) * np.asarray(spool)[row, late]
+        response = phasor(travel, omega, time_s[late]) / phasor(current, omega, time_s[late])
+        middle = float(np.mean(np.asarray(motion.displacement_m)[row, late]))
+        chain, s = linearised(linear_rig, OperatingPoint(middle, CURRENT_A)), 1j * omega
         lagged = (s / chain.natural_frequency) ** 2 + 2 * chain.damping_ratio * s / chain.natural_frequency
-        assert abs(response / (chain.gain / (s * (lagged + 1))) - 1) < 0.05
+        expected = chain.gain / (s * (lagged + 1))
+        if column == 0:
+            # The metering edge acts at once on its share of the drop, the compensator later on the rest.
+            drop = float(np.mean(np.asarray(motion.supply_pressure_pa - motion.pressure_pa)[row, late]))
+            opening = jnp.asarray(np.mean(np.asarray(motion.compensator_m2)[row, late]))
+            share = float(valve.metering_drop(opening)) / (drop - float(valve.check_pressure))
+            lag = float(valve.compensator_lag) * s
+            expected *= (1 + share * lag) / (1 + lag)
+        assert abs(response / expected - 1) < 0.05
 
 
 def test_gain_is_the_slope_of_steady_speed(linear_rig):

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from benchmarks.adaptation.work import ENDS, work
 
 from hitchid.bench import load_rig, rig_limits
-from hitchid.bench.work import ENDS, work
 from hitchid.errors import InputError
 from hitchid.logs.record import LIFTING, LOWERING
 

@@ -35,8 +35,8 @@ def test_each_link_and_each_session_is_another():
     tokens = [sessions.new_link() for _ in range(20)]
     opened = [sessions.redeem(token) for token in tokens]
     assert len({*tokens, *opened}) == 40
-    assert list(map(sessions.known, opened)) == opened
-    assert not any(map(sessions.known, [*tokens, "", "é", "\ud800", opened[0][:-1]]))
+    assert list(map(sessions.session_of, opened)) == opened
+    assert not any(map(sessions.session_of, [*tokens, "", "é", "\ud800", opened[0][:-1]]))
 
 
 @pytest.mark.parametrize("token", ["\ud800", "é", "\0", "", "a" * 10**6])
@@ -51,9 +51,9 @@ def test_with_one_too_many_the_oldest_unconnected_session_ends():
     sessions = Sessions()
     operator, *viewers = [sessions.redeem(sessions.new_link()) for _ in range(MOST_SESSIONS)]
     sessions.connect(operator)
-    sessions.known(viewers[0])
+    sessions.session_of(viewers[0])
     assert sessions.redeem(sessions.new_link())
-    still = [sessions.known(session) is not None for session in (operator, *viewers)]
+    still = [sessions.session_of(session) is not None for session in (operator, *viewers)]
     assert still == [True, True, False] + [True] * (MOST_SESSIONS - 3)
     sessions = Sessions()
     opened = [sessions.redeem(sessions.new_link()) for _ in range(MOST_SESSIONS)]
@@ -62,7 +62,7 @@ def test_with_one_too_many_the_oldest_unconnected_session_ends():
     assert sessions.redeem(sessions.new_link()) is None
     sessions.disconnect(opened[7])
     assert sessions.redeem(sessions.new_link())
-    assert [sessions.known(session) for session in opened].count(None) == 1
+    assert [sessions.session_of(session) for session in opened].count(None) == 1
 
 
 @pytest.fixture

@@ -8,20 +8,21 @@ from hypothesis import strategies as st
 from fake_bench import DEAD_ZONES, GAINS, LIMITS, STEP_S, STROKE, Plant
 from hitchid.errors import InputError
 from hitchid.hmi import run as campaigns
-from hitchid.hmi.plans import MARGIN, CampaignPlan, Limits
-from hitchid.hmi.program import (
+from hitchid.hmi.plans import MARGIN, CampaignPlan
+from hitchid.hmi.run import (
     COAST_S,
     MOVE_STROKES_PER_S,
     RISE_S,
     SETTLE_S,
     STALLED_S,
+    START,
     Target,
     apply,
+    campaign,
     check_clock_and_units,
     drive,
     move,
 )
-from hitchid.hmi.run import START, campaign
 from hitchid.logs.record import DIRECTIONS
 
 UNITS = ("A", "mm")
@@ -245,7 +246,7 @@ def test_a_closed_loop_holds_until_the_target_moves():
 
 @pytest.mark.parametrize(("target_mm", "reached_mm"), [(1e6, 210.0), (-1e6, 10.0)])
 def test_a_target_outside_the_travel_is_its_end(target_mm, reached_mm):
-    limits = Limits((0.9, 0.8), (10.0, 210.0))
+    limits = LIMITS.model_copy(update={"lowest_displacement": 10.0, "highest_displacement": 210.0})
     program = drive(Proportional(), "evening", 100.0, Target(target_mm), limits)
     commands = next(program).commands
     assert commands[0] - commands[1] == pytest.approx(0.01 * (reached_mm - 100.0))

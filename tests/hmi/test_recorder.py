@@ -109,14 +109,6 @@ def test_no_log_is_written_to_where_a_link_leads(tmp_path, path):
     assert list(elsewhere.iterdir()) == []
 
 
-def test_what_was_appended_can_soon_be_read(tmp_path):
-    log = recorder_in(tmp_path)
-    for k in range(500):
-        log.append([Reading(k * STEP_S, (0.0, 0.0, 1.0))])
-        assert len(lines_of(tmp_path / "log.csv")[1]) >= k - FLUSH_S / STEP_S
-    log.close()
-
-
 def test_a_killed_writer_leaves_whole_lines_until_shortly_before(tmp_path):
     path = tmp_path / "log.csv"
     command = [sys.executable, "-c", WRITER, str(tmp_path)]

@@ -136,12 +136,10 @@ def test_a_line_without_end_costs_bounded_memory():
 
 @pytest.mark.parametrize("can_move", [False, True])
 def test_commands_are_sent_only_where_they_are_taken(can_move):
-    source = opened(b"", can_move=can_move, covariates={"cylinder_pressure": "bar"})
+    source = opened(b"", can_move=can_move)
     source.write(np.array([0.5, 0.0]))
     sent = list(map(json.loads, source._transport.sent))
     assert sent == [{"lifting_command": 0.5, "lowering_command": 0.0}] * can_move
-    (pressure,) = source.signals[3:]
-    assert (pressure.name, pressure.unit, pressure.group) == ("cylinder_pressure", "bar", "pressure")
 
 
 def test_a_serial_device_is_read_and_written_without_waiting():

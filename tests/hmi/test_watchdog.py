@@ -25,7 +25,7 @@ class Wire:
 
     def __init__(self):
         self.read, self.write = os.pipe()
-        self.told, self.tell = os.pipe()
+        self.server_end, self.tell = os.pipe()
 
     def zero(self):
         os.write(self.write, b"0")
@@ -65,7 +65,7 @@ def test_a_killed_loop_leaves_closed_valves_and_the_server_hears(wire):
     watchdog = Watchdog(wire.zero, NEVER_S, wire.say)
     watchdog._link.close()  # what the system does for a process that is killed
     assert wire.taken(wire.read)[:1] == b"0"
-    assert wire.taken(wire.told) == b"yes"
+    assert wire.taken(wire.server_end) == b"yes"
     assert ended(watchdog)
 
 
@@ -78,7 +78,7 @@ def test_a_source_without_a_zero_is_said_or_ends_it(wire, hangs):
 
     watchdog = Watchdog(fail, NEVER_S, wire.say)
     watchdog._link.close()
-    assert hangs or wire.taken(wire.told) == b"no"
+    assert hangs or wire.taken(wire.server_end) == b"no"
     assert ended(watchdog) != hangs
 
 
@@ -100,7 +100,7 @@ def test_a_loop_that_ends_in_order_is_left_alone(wire, frozen):
     assert all(watchdog.alive() for _ in range(1000))  # more than wait in a socket
     watchdog.end()
     assert is_gone(watchdog)
-    assert wire.taken(wire.read, 0.0) == wire.taken(wire.told, 0.0) == b""
+    assert wire.taken(wire.read, 0.0) == wire.taken(wire.server_end, 0.0) == b""
 
 
 def test_a_watchdog_that_was_killed_is_noticed():

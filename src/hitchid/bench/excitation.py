@@ -40,9 +40,11 @@ def evaluate_ramps(ramps: Sequence[Record], direction: str) -> StaticResult:
         LogError: a ramp ends before the piston moves.
     """
     sign = 1 if direction == LIFTING else -1
+    # The same estimate as in an identification: levels are then effective for the model, too.
     zone = from_ramps(ramps, direction, sign).value
     tail = slice(-round(RAMP_TAIL_S / ramps[0].step_s), None)
     speeds = [sign * np.polyfit(ramp.time_s[tail], ramp.displacement[tail], 1)[0] for ramp in ramps]
+    # At the end of the ramps, where the notches are open: near the dead zone speed over command is smaller.
     effective = np.mean([ramp.command(direction)[tail].mean() - zone for ramp in ramps])
     return StaticResult(zone, float(np.mean(speeds) / effective))
 
@@ -50,6 +52,13 @@ def evaluate_ramps(ramps: Sequence[Record], direction: str) -> StaticResult:
 def precompensated(command: np.ndarray, dead_zone: float) -> np.ndarray:
     """Return the command for an effective command u at dead zone d: c = u + d where u > 0, else 0."""
     return np.where(command > 0, command + dead_zone, 0.0)
+
+
+def two_channel_command(direction: str, command: np.ndarray) -> np.ndarray:
+    """Return the commands of a test of one direction, lifting and lowering, shape [N, 2]."""
+    rows = np.zeros((len(command), len(DIRECTIONS)))
+    rows[:, DIRECTIONS.index(direction)] = command
+    return rows
 
 
 def ramp(*, top: float, duration_s: float, step_s: float = 0.01) -> np.ndarray:
@@ -80,6 +89,7 @@ def prbs(
     count, hold_samples = _count(duration_s, step_s), max(1, round(clock_s / step_s))
     rest = round(rest_s / step_s)
     clocks = -(-(count - rest) // hold_samples)
+    # The shortest register that does not repeat itself within the test.
     bits = max(4, int(np.ceil(np.log2(clocks + 1))))
     state = np.random.default_rng(seed).integers(0, 2, bits)
     # A register of zeros would never leave them.
@@ -115,6 +125,7 @@ def duty_cycle(
         level = rng.uniform(*levels[0 if up else 1])
         speed = level * speeds[0 if up else 1]
         available = (highest - height) if up else (height - lowest)
+        # Ended by what is left of the way, as far as its speed predicts it: not at a stop.
         hold_s = min(rng.uniform(1.0, 3.0), max(available, 0.0) / speed)
         stop = sample + round(hold_s / step_s)
         commands[0 if up else 1, sample:stop] = level
@@ -181,5 +192,6 @@ def cycle_commands(
         seed=seed,
         step_s=step_s,
     )
+    # Effective until here, so that strokes are predicted by one speed a direction.
     zones = [static[direction].dead_zone for direction in DIRECTIONS]
     return np.column_stack(list(map(precompensated, pair, zones)))

@@ -84,9 +84,11 @@ class Cylinder(eqx.Module):
         """Return the end stops' force on the piston, N, and its derivatives by displacement and speed."""
         upper_penetration = jnp.maximum(displacement - self.stroke, 0.0)
         lower_penetration = jnp.maximum(-displacement, 0.0)
+        # Never pulling: a stop that the piston leaves fast would hold it back.
         upper = jnp.maximum(1 + self.stop_damping * speed, 0.0)
         lower = jnp.maximum(1 - self.stop_damping * speed, 0.0)
         force = self.stop_stiffness * (lower_penetration * lower - upper_penetration * upper)
+        # Where neither stop is touched both slopes are zero, as the linear system of a step needs them.
         contact = jnp.where(upper_penetration > 0, upper, 0.0) + jnp.where(lower_penetration > 0, lower, 0.0)
         damping = self.stop_damping * (
             jnp.where(upper > 0, upper_penetration, 0.0) + jnp.where(lower > 0, lower_penetration, 0.0)

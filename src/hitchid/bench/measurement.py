@@ -67,8 +67,9 @@ def _measure(
     nominal = jnp.broadcast_to(SAMPLE_S * jnp.arange(shape[1]), shape)
     # Clipped, so that stamps never change places.
     clock_jitter = jnp.clip(jitter * clock_noise, -4 * jitter, 4 * jitter)
-    time = (nominal + SAMPLE_S * clock_jitter).at[:, 0].set(0.0)
+    time = (nominal + SAMPLE_S * clock_jitter).at[:, 0].set(0.0)  # a log begins at its first sample
     corner = sensors.filter_frequency * SAMPLE_S
+    # Filter, then clock, then converter, as in the data acquisition: noise and steps are not smoothed.
     angle = _first_order_filter(rig.linkage.sensor_angle(displacement), corner)
     angle = angle_reading(rig, jax.vmap(jnp.interp)(time, nominal, angle), angle_noise)
     filtered_currents = _filter_held_input(currents, corner)
@@ -120,7 +121,7 @@ def _first_order_filter(signal: Float[Array, "t n"], corner: Array) -> Float[Arr
         output = decay * output + (1 - decay - ramp_gain) * previous + ramp_gain * sample
         return (output, sample), output
 
-    first = signal[:, 0]
+    first = signal[:, 0]  # settled: the bench has stood there before the test
     return jax.lax.scan(step, (first, first), signal.T)[1].T
 
 

@@ -80,6 +80,7 @@ def load_rig(name_or_path: str | Path) -> Rig:
     """
     name = str(name_or_path)
     try:
+        # A text without the ending is a name: that of a file by mistake is told which names there are.
         if isinstance(name_or_path, str) and not name.endswith(".toml"):
             if name not in parameter_sets():
                 raise SettingsError(
@@ -112,6 +113,7 @@ def build_rig(tables: dict[str, object]) -> Rig:
         }
         for table, ranges in ((table, _quantities(table)) for table in COMPONENTS)
     }
+    # Curves belong to a rig, not to a test: drawn from its own seed, whatever is simulated with it.
     sensors = values["sensors"]
     rng, largest = np.random.default_rng(int(sensors["calibration_seed"])), float(sensors["curve_error"])
     angle, lifting, lowering = (CalibrationCurve.random(rng, largest) for _ in range(3))
@@ -124,6 +126,7 @@ def build_rig(tables: dict[str, object]) -> Rig:
         linkage=Linkage(**values["linkage"]),
         sensors=Sensors(angle_curve=angle, lifting_curve=lifting, lowering_curve=lowering, **sensors),
     )
+    # What a range of one number cannot say.
     for table in ("lifting_valve", "lowering_valve"):
         spool = getattr(rig, table).spool
         if not spool.dead_zone < spool.saturation:

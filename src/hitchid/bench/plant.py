@@ -95,6 +95,7 @@ def at_temperature(rig: Rig, temperature: Scalar) -> Rig:
 
     σ₂ grows with viscosity, leakage falls with it.
     """
+    # Once before a run: within it the oil does not warm, unless the rig itself is changed.
     ratio = rig.oil.viscosity_ratio(temperature)
     return eqx.tree_at(
         lambda r: (r.cylinder.friction.viscous, r.cylinder.leakage),
@@ -175,6 +176,7 @@ def at_rest(rig: Rig, displacement: Values, load_force: Values) -> RigState:
     zero = jnp.zeros_like(displacement)
     friction = rig.cylinder.friction
     pressure = hold_pressure(rig, displacement, load_force) + friction.coulomb / rig.cylinder.area
+    # Not from neutral friction: its lost motion at the first command would look like a lag.
     supply_pressure = rig.supply.idle_pressure()
     return RigState(
         lifting=rig.lifting_valve.spool.rest(),
@@ -306,6 +308,7 @@ def _step_valves(rig: Rig, state: RigState, inputs: RigInputs, steps: StepFactor
     lowering = lower_valve.spool.advance(state.lowering, inputs.lowering, steps.lowering)
     lift_area = lift_valve.spool.area(0.5 * (state.lifting.position + lifting.position))
     lower_area = lower_valve.spool.area(0.5 * (state.lowering.position + lowering.position))
+    # The compensator follows the opening at which both orifices would be in balance now, with its lag.
     drop = state.supply_pressure - state.pressure
     spools = lift_valve.balanced_opening(lift_area, state.compensator, drop - lift_valve.check_pressure)
     compensator = spools + (state.compensator - spools) * steps.compensator
@@ -364,6 +367,7 @@ def _solve(
     cylinder, half = rig.cylinder, 0.5 * dt
     supply_capacity = rig.supply.capacity(rig.oil, state.supply_pressure, supply_amount(state))
     capacity = rig.oil.capacity(state.pressure, cylinder_amount(state), cylinder.compliance)
+    # Volumes are at tank pressure, but the piston sweeps oil under pressure.
     effective_area = cylinder.area / rig.oil.specific_volume(state.pressure)
     (pump, pump_slope), (relief, relief_slope), (lift, lift_slope) = flows.pump, flows.relief, flows.lift
     (lower, lower_slope), (safety, safety_slope), (leak, leak_slope) = flows.lower, flows.safety, flows.leak

@@ -13,6 +13,7 @@ _MINUTE = 60.0  # s
 _RPM = 2 * math.pi / _MINUTE  # rad/s
 _BASE = {"current": "A", "ratio": "1", "length": "m", "angle": "rad", "pressure": "Pa", "time": "s"}
 
+# Units that logs know as well have one factor for both; the others are of a rig alone.
 FACTORS: dict[str, tuple[str, float]] = {
     **{name: (_BASE[unit.dimension], unit.factor) for name, unit in UNITS.items() if unit.dimension in _BASE},
     "m2": ("m2", 1.0),

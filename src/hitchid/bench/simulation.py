@@ -109,7 +109,7 @@ def simulate(
         "oil_temperature_c": _broadcast("oil_temperature_c", temperature, (tests,)),
     }
     for name, array in inputs.items():
-        check_range(name, array, -np.inf, np.inf)
+        check_range(name, array, -np.inf, np.inf)  # finite: one NaN would spread over the whole test
     check_range("currents", inputs["currents"], 0.0, np.inf)
     check_range("initial_displacement_m", inputs["initial_displacement_m"], 0.0, rig.cylinder.stroke)
     return _simulate(rig, **inputs, substeps=substeps)
@@ -128,7 +128,7 @@ def _broadcast(name: str, value: object, shape: tuple[int, ...]) -> Array:
 def check_range(name: str, array: Array, low: float, high: object) -> None:
     """Raise InputError where a value is not finite or beyond its limits; in a compiled program nothing."""
     if isinstance(array, Tracer) or isinstance(high, Tracer):
-        return
+        return  # there are no values to look at
     values, top = np.asarray(array), float(np.asarray(high))
     if not np.all(np.isfinite(values)):
         raise InputError(f"{name}: a value is not finite")
@@ -147,6 +147,7 @@ def _simulate(
     substeps: int,
 ) -> RigMotion:
     def run(rows: Array, initial: Scalar, load_force: Array, temperature: Scalar) -> RigState:
+        # Once a test, outside of the scan: neither changes from sample to sample.
         warm = at_temperature(rig, temperature)
         factors = _sample_factors(warm, substeps)
 
@@ -192,7 +193,11 @@ def _sample_factors(rig: Rig, substeps: int) -> _SampleFactors:
     steps = step_factors(rig, jnp.asarray(SAMPLE_S / substeps))
     phase_step = rig.supply.ripple_frequency * steps.dt
     return _SampleFactors(
-        steps, phase_step, rig.supply.ripple * jnp.sinc(phase_step / (2 * jnp.pi)), substeps
+        # The mean of a sine over a step is its value in the middle times the sinc of half the step.
+        steps,
+        phase_step,
+        rig.supply.ripple * jnp.sinc(phase_step / (2 * jnp.pi)),
+        substeps,
     )
 
 

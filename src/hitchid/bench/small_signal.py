@@ -96,6 +96,7 @@ def _chain(rig: Rig, point: OperatingPoint, is_lifting: bool) -> Array:
     """Return the fields of a `SmallSignal`, shape [4]."""
     rig = at_temperature(rig, jnp.asarray(point.oil_temperature_c))
     steady = _steady_lifting(rig, point) if is_lifting else _steady_lowering(rig, point)
+    # Leakage goes to tank: it takes from the flow that lifts, and adds to the one that lowers.
     leakage_sign = -1.0 if is_lifting else 1.0
     displacement = jnp.asarray(point.displacement_m)
     load = rig.linkage.load(displacement)
@@ -137,6 +138,7 @@ def _steady_lowering(rig: Rig, point: OperatingPoint) -> SteadyState:
         0, 20, fixed_point_step, (frictionless_pressure, jnp.zeros_like(frictionless_pressure))
     )
     flow, flow_pressure = flow_at(current, pressure)
+    # At the pressure of the steady state: how that changes with the flow is the term of k_c.
     flow_gain = jax.grad(lambda coil: flow_at(coil, pressure)[0])(current)
     return SteadyState(pressure, speed, flow, flow_gain, flow_pressure)
 

@@ -40,6 +40,7 @@ def real_time(
     """
     start = clock()
     for sample in count():
+        # From the start, not from the last sample, whose lateness would add up.
         early = start + sample * SAMPLE_S - clock()
         if early > 0:
             sleep(early)
@@ -170,6 +171,7 @@ def _reset(
 def _step(
     rig: Rig, state: BenchState, currents: Float[Array, "2"], disturbance: Disturbance
 ) -> tuple[BenchState, Measurement]:
+    # No error here, as in a compiled loop there can be none: a coil without a current stays closed.
     applied = jnp.where(jnp.isfinite(currents), jnp.maximum(currents, 0.0), 0.0)
     force = jnp.asarray(disturbance.load_force_n, jnp.float64)
     plant = advance_sample(rig, state.plant, applied, force, state.samples.astype(float))
@@ -192,9 +194,10 @@ def _step(
 
 def _measured(rig: Rig, state: BenchState, disturbance: Disturbance) -> tuple[BenchState, Measurement]:
     """Return the state with the noise drawn and the reading kept, and the measurement."""
-    key, own = jax.random.split(state.key)
+    key, own = jax.random.split(state.key)  # drawn in any case: a fault does not shift the noise after it
     noise = jax.random.normal(own, (3,), jnp.float64)
     fresh = angle_reading(rig, state.filtered_angle + disturbance.sensor_offset_rad, noise[0])
+    # Stuck at the last reading, with the noise that it had; a lost one keeps the state for when it returns.
     reading = jnp.where(disturbance.sensor_stuck, state.reading_rad, fresh)
     displacement = jnp.where(disturbance.sensor_lost, jnp.nan, 1e3 * rig.linkage.displacement(reading))
     measurement = Measurement(

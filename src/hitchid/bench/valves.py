@@ -69,6 +69,7 @@ class Oil(eqx.Module):
             compliance: h, m³/Pa.
             gas: pressure times volume of the gas in an accumulator, G, Pa·m³, its volume counted in V.
         """
+        # In closed form: no iteration in a step, and no pressure below zero.
         liquid_fraction = 1 - self.air_fraction
         a = amount * liquid_fraction / self.bulk_modulus + compliance
         b = (
@@ -168,6 +169,7 @@ class Supply(eqx.Module):
 
     def pressure(self, oil: Oil, amount: Values) -> Values:
         """Return the pressure at which an amount is held, Pa; the inverse of `amount`."""
+        # Below its precharge the accumulator is empty, and the line alone holds the oil.
         line_pressure = oil.pressure(amount, self.line_volume, self.compliance)
         volume = self.line_volume + self.accumulator_volume
         charged_pressure = oil.pressure(amount, volume, self.compliance, self._gas())
@@ -268,6 +270,7 @@ class Spool(eqx.Module):
     def area(self, position: Values) -> Values:
         """Return the opening, m²: a₁ (√(y² + y₀²) − y₀)/(√(1 + y₀²) − y₀), y the travel past the overlap."""
         overlap = self.dead_zone / self.saturation
+        # Within the travel: the exact step of an undamped spool may overshoot its stop.
         travel = jnp.clip((position - overlap) / (1 - overlap), 0.0, 1.0)
         shape = jnp.sqrt(travel**2 + self.notch**2) - self.notch
         return self.full_area * shape / (jnp.sqrt(1 + self.notch**2) - self.notch)
@@ -303,6 +306,7 @@ class LiftingValve(eqx.Module):
         has Δp_m where a_k = a_m √(Δp_m/(Δp − Δp_m)); with too little pressure the compensator is fully open.
         """
         metering = self.metering_drop(compensator)
+        # Never zero: the square root below must have a derivative where the pressure does not suffice.
         rest = jnp.maximum(drop - metering, 1e-3 * metering)
         return jnp.minimum(area * jnp.sqrt(metering / rest), self.compensator_area)
 

@@ -23,6 +23,7 @@ from hitchid.bench.excitation import (
     binary_command,
     cycle_commands,
     evaluate_ramps,
+    two_channel_command,
 )
 from hitchid.bench.measurement import measure
 from hitchid.bench.parameter_files import load_rig
@@ -111,6 +112,7 @@ class Conditions:
                     f"consumer_l_min: expected from 0 to less than the pump's {pump_l_min:.4g} l/min, "
                     f"got {consumer:g}"
                 )
+            # The consumer comes before the hitch, and so takes from what the pump delivers.
             values = (mass, oil_c, (pump_l_min - consumer) * LITRES_PER_MIN)
             changed = in_condition(rig, tuple(map(jnp.asarray, values)))
             flow = f"-{consumer:g}lpm" if self.consumer_l_min != (0.0,) else ""
@@ -187,12 +189,12 @@ def run(
     if conditions is not None:
         measured = []
         for number, condition in enumerate(conditions.of(rig)):
-            rng = np.random.default_rng([seed, number])
+            rng = np.random.default_rng([seed, number])  # whatever the other conditions draw
             for log in run(condition.rig, tests, directions, seed=int(rng.integers(2**31))):
                 columns = {**log.columns, **condition.readings(log.pressure_pa, rng)}
                 measured.append(replace(log, name=f"{log.name}-{condition.name}", columns=columns))
         return measured
-    excited = DIRECTIONS if "cycle" in tests else directions
+    excited = DIRECTIONS if "cycle" in tests else directions  # ramps also of what is not asked for
     ramps = {direction: _ramps(rig, direction, tests.get("ramp", REPEATS), seed) for direction in excited}
     static = {
         direction: evaluate_ramps([_record(log) for log in logs], direction)
@@ -247,6 +249,7 @@ def write_campaign(
 
     def fill(folder: Path) -> None:
         (folder / TRUTH).mkdir()
+        # Beside the logs, not among their signals: what is identified from them must not see it.
         for log in logs:
             write_table(folder / f"{log.name}.{suffix}", log.columns)
             truth = {"time_s": log.columns["time_s"], "displacement_true_mm": log.truth}
@@ -263,12 +266,13 @@ def _ramps(rig: Rig, direction: str, repeats: int, seed: int) -> list[Log]:
     top, start = _saturation(rig, direction), _start(rig, direction)
     command = excitation.ramp(top=top, duration_s=RAMP_S)
     # As many at once as in the ramps below, so that both use one compiled program.
-    currents = np.stack([_two_channel_command(direction, command)] * repeats)
+    currents = np.stack([two_channel_command(direction, command)] * repeats)
     motion = simulate(rig, currents, initial_displacement_m=start)
     travel_m = np.abs(np.asarray(motion.displacement_m)[0] - start)
+    # A ramp to the end of its travel would spend most of its time at the stop.
     if travel_m.max() >= RAMP_TRAVEL_M:
         top = float(command[np.argmax(travel_m >= RAMP_TRAVEL_M)])
-    command = _two_channel_command(direction, excitation.ramp(top=top, duration_s=RAMP_S))
+    command = two_channel_command(direction, excitation.ramp(top=top, duration_s=RAMP_S))
     names = [f"ramp-{direction}-{number:02d}" for number in range(1, repeats + 1)]
     return _logs(rig, names, [command] * repeats, [start] * repeats, seed)
 
@@ -279,6 +283,7 @@ def _highest_command(rig: Rig, direction: str, static: StaticResult, travel_mm: 
     in_travel = travel_mm / (static.speed_per_command * DYNAMIC_S)
     if direction != LIFTING:
         return min(in_range, in_travel)
+    # Lowering is driven by the load, not by the pump.
     in_flow = FLOW_FRACTION * 1e3 * rig_limits(rig).lifting_speed_m_s / static.speed_per_command
     return min(in_range, in_travel, in_flow)
 
@@ -290,9 +295,10 @@ def _saturation(rig: Rig, direction: str) -> float:
 
 def _dynamic(rig: Rig, direction: str, static: StaticResult, tests: int, seed: int) -> list[Log]:
     highest = _highest_command(rig, direction, static, STROKE_FRACTION * 1e3 * rig_limits(rig).stroke_m)
+    # By direction: its tests are the same whether the other one is asked for or not.
     rng = np.random.default_rng([seed, DIRECTIONS.index(direction)])
     commands = [
-        _two_channel_command(direction, binary_command(highest, static.dead_zone, DYNAMIC_S, rng))
+        two_channel_command(direction, binary_command(highest, static.dead_zone, DYNAMIC_S, rng))
         for _ in range(tests)
     ]
     names = [f"{direction}-{number:02d}" for number in range(1, tests + 1)]
@@ -329,11 +335,6 @@ def _start(rig: Rig, direction: str) -> float:
     return 0.0 if direction == LIFTING else rig_limits(rig).stroke_m
 
 
-def _two_channel_command(direction: str, command: np.ndarray) -> np.ndarray:
-    zeros = np.zeros_like(command)
-    return np.column_stack([command, zeros] if direction == LIFTING else [zeros, command])
-
-
 def _logs(
     rig: Rig, names: Sequence[str], commands: Sequence[np.ndarray], starts_m: Sequence[float], seed: int
 ) -> list[Log]:
@@ -351,5 +352,5 @@ def _record(log: Log) -> Record:
     roles = (DISPLACEMENT, *(COMMAND[direction] for direction in DIRECTIONS))
     names, units = ("displacement_mm", "current_up_A", "current_down_A"), ("mm", "A", "A")
     signals = {role: log.columns[name] for role, name in zip(roles, names, strict=True)}
-    step_s = float(np.median(np.diff(log.columns["time_s"])))
+    step_s = float(np.median(np.diff(log.columns["time_s"])))  # of stamps as a reader would take it
     return Record(log.name, step_s, signals, dict(zip(roles, units, strict=True)), kind=RAMP)

@@ -169,8 +169,9 @@ def main(arguments: Sequence[str]) -> None:
     limits, connection = settings["limits_file"], Connection(descriptor)
 
     def tell(is_zero_sent: bool) -> None:
-        told = {"type": "watchdog", "zero_sent": is_zero_sent}
-        connection.send_bytes(JSON_MARK + json.dumps(told).encode())
+        content = {"type": "watchdog", "zero_sent": is_zero_sent}
+        # At once, in the watchdog's process: the thread of an outbox was not forked with it.
+        connection.send_bytes(JSON_MARK + json.dumps(content).encode())
 
     loop = BenchLoop(
         Path(settings["root"]),

@@ -52,7 +52,7 @@ class Child:
         with contextlib.suppress(EOFError, OSError, RuntimeError):  # RuntimeError: the event loop is closed
             while True:
                 loop.call_soon_threadsafe(on_message, self._connection.recv_bytes())
-        self.outbox.close()
+        self.outbox.close()  # before others hear of the end: what they still send is dropped
         with contextlib.suppress(RuntimeError):
             loop.call_soon_threadsafe(on_end)
-        self.process.wait()
+        self.process.wait()  # the system keeps a process until somebody has waited for it

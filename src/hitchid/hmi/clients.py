@@ -35,6 +35,7 @@ class Client:
         while not self._texts and not self._frames:
             self._is_waiting.clear()
             await self._is_waiting.wait()
+        # A state or an answer must not wait behind frames that a slow page has not drawn.
         return self._texts.popleft() if self._texts else self._frames.popleft()
 
 
@@ -46,7 +47,7 @@ class Clients:
         self.operator: str | None = None
 
     def __iter__(self) -> Iterator[Client]:
-        return iter(tuple(self._clients.values()))
+        return iter(tuple(self._clients.values()))  # a copy: a page may go while others are told
 
     def __len__(self) -> int:
         return len(self._clients)
@@ -86,7 +87,7 @@ class Clients:
 
     def publish(self, message: Mapping[str, object] | bytes) -> None:
         """Send a message to all pages."""
-        encoded = message if isinstance(message, bytes) else json.dumps(message)
+        encoded = message if isinstance(message, bytes) else json.dumps(message)  # once for all of them
         for client in self:
             client.put(encoded)
 
@@ -110,7 +111,7 @@ class Pending:
     def answer(self, number: int, error: str | None) -> None:
         """Send the page its answer: an error, or None."""
         client, request = self._waiting.pop(number, (None, None))
-        if client is not None:
+        if client is not None:  # else answered before, as by the end of the process
             client.put({"type": "reply", "id": request, "error": error})
 
     def fail(self, error: str) -> None:

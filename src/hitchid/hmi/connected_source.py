@@ -53,6 +53,7 @@ class ConnectedSource:
             InputError: a sample has not a number for each signal.
         """
         readings = []
+        # A source of the operator's own may return anything; what follows needs numbers, as many as signals.
         for time_s, values in self.source.read():
             if len(values) != len(self.source.signals):
                 raise InputError(f"{self.source.label}: expected a value for each signal in a sample")
@@ -68,7 +69,7 @@ class ConnectedSource:
         """Send zero, several times where that fails, and disconnect; return whether zero was sent."""
         sent = False
         for _ in range(ZERO_TRIES):
-            with contextlib.suppress(Exception):  # the source may be gone
+            with contextlib.suppress(Exception):  # it may be gone, or busy for a moment
                 self.write(CLOSED)
                 sent = True
                 break
@@ -104,6 +105,7 @@ def connect(
             f"{source.label}: expected a sampling time of {SHORTEST_STEP_S:g} to {longest_s:g} s, "
             f"got {source.step_s:g} s"
         )
+    # A machine has the speed it has: faster than time is for what stands still between two samples.
     speed = checks.integer(options.get("speed", 1), "speed", minimum=1)
     fastest = FASTEST if source.virtual else 1
     if speed > fastest:
@@ -112,6 +114,7 @@ def connect(
         limits = limits_of_rig(load_rig(text.removeprefix("rig:")))
     else:
         limits = None if limits_file is None else read_limits(limits_file)
+    # Numbers without a conversion between: 0.9 in mA would be another limit than 0.9 in A.
     units = () if limits is None else (limits.command_unit, limits.command_unit, limits.displacement_unit)
     for signal, unit in zip(source.signals, units, strict=False):
         if signal.unit != unit:

@@ -85,6 +85,7 @@ class Console:
         while True:
             await asyncio.sleep(ALIVE_S)
             if self._bench is not None:
+                # With its time: what waits in the link is read later, and no sign of life of then.
                 self._bench.send({"type": "server_alive", "at_s": time.monotonic()})
             # A bench loop that hangs while something may move is told; its next word replaces that.
             silent_s = time.monotonic() - self._heard_s
@@ -97,12 +98,13 @@ class Console:
     async def end(self) -> None:
         """End all processes; the bench loop closes valves and logs."""
         if self._bench is not None:
-            await asyncio.to_thread(self._bench.end)
+            await asyncio.to_thread(self._bench.end)  # first: valves before models and jobs
         await asyncio.to_thread(self._beside.end)
         await self.jobs.end()
 
     def welcome(self, session: str) -> Client:
         """Return a client for a new page; the operator's where there is none and nothing may move."""
+        # Whoever opens a page while something may move must ask for the place of the operator.
         client = self.clients.add(session, may_operate=self._status["state"] not in MOVING)
         if self.clients.operator == client.name:
             self.log("claim", client)
@@ -118,7 +120,7 @@ class Console:
 
     async def greet(self, client: Client) -> None:
         """Send a new page what it needs to know."""
-        sources = await asyncio.to_thread(self._sources)
+        sources = await asyncio.to_thread(self._sources)  # which looks through the project's folders
         client.put(
             {
                 "type": "hello",
@@ -170,7 +172,7 @@ class Console:
         """
         kind = request.get("type")
         is_operator = self.clients.operator == client.name
-        if kind == "heartbeat":
+        if kind == "heartbeat":  # several a second: neither answered nor logged
             if is_operator and self._bench is not None:
                 self._bench.send({"type": "page_alive", "at_s": time.monotonic()})
             return
@@ -240,6 +242,7 @@ class Console:
         if request["type"] == "connect":
             if self._bench is None:
                 self._start_bench()
+            # No other: a page must not name a module to import, or a device to write to.
             given = request.get("source")
             if given not in ("rig", "replay", self.settings.source):
                 raise InputError(f"source: expected rig, replay or the one of --source, got {given!r:.60}")
@@ -248,6 +251,7 @@ class Console:
     def _to_bench(self, client: Client, request: Mapping[str, Any]) -> None:
         if self._bench is None:
             raise InputError("the bench loop has ended; connect a source to start it again")
+        # Under a number of its own, as pages number their requests alike.
         number = self._pending.add(client, request.get("id"))
         self._bench.send({**request, "id": number, "at_s": time.monotonic()})
         if request["type"] == "stop" and self._status["state"] != "stopped":
@@ -268,7 +272,7 @@ class Console:
         self._bench = None
         # What is known of the commands that it has left behind.
         source, state, reason = (self._status[name] for name in ("source", "state", "reason"))
-        if self._is_zero_sent is not None:
+        if self._is_zero_sent is not None:  # the watchdog's word, said after the loop's last one
             has_sent = "has sent zero to the machine"
             could_not = "could not send zero: close the valves of the machine by hand"
             last = f"its watchdog {has_sent if self._is_zero_sent else could_not}"
@@ -288,6 +292,7 @@ class Console:
         self._heard_s = time.monotonic()
         if message[:1] == b"b":
             wall_ms, rows = block_of(message[1:])
+            # Else a block of a source that was left meanwhile.
             if self.history is not None and rows.shape[1] + 1 == self.history.columns:
                 rows = np.column_stack([rows, self._speed.advance(rows)])
                 self.history.append(rows)
@@ -306,7 +311,7 @@ class Console:
             unit = next(signal["unit"] for signal in source["signals"] if signal["name"] == DISPLACEMENT)
             source["signals"].append(asdict(Signal("speed", "Speed", f"{unit}/s", "speed")))
         before, self._status = self._status, content
-        if before["source"] != source:
+        if before["source"] != source:  # samples, markers and model are of the one that was left
             self.history, self._markers = None, []
             if source is not None:
                 self.history = History(1 + len(source["signals"]), source["step_s"])
@@ -320,13 +325,14 @@ class Console:
 
     def _project_changed(self) -> None:
         self.clients.publish({"type": "project_changed"})
-        task = asyncio.get_running_loop().create_task(self._tell_sources())
+
+        async def tell() -> None:
+            # Looking for logs to replay takes a while where there are many.
+            self.clients.publish({"type": "sources", "sources": await asyncio.to_thread(self._sources)})
+
+        task = asyncio.get_running_loop().create_task(tell())
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
-
-    async def _tell_sources(self) -> None:
-        """Look for logs to replay, which takes a while where there are many, and tell all pages."""
-        self.clients.publish({"type": "sources", "sources": await asyncio.to_thread(self._sources)})
 
 
 def _append(path: Path, line: bytes) -> None:

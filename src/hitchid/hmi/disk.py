@@ -33,7 +33,7 @@ class Disk:
         Raises:
             OutputError: a write has failed, or waits for longer than `LONGEST_WAIT_S`; each failure once.
         """
-        if self._errors:
+        if self._errors:  # before what waits: an error says more
             raise self._errors.popleft()
         try:
             waits_s = time.monotonic() - self._waiting[0][0]
@@ -45,7 +45,7 @@ class Disk:
     def finish(self) -> bool:
         """Wait for what was handed over, `LONGEST_WAIT_S` at most; return whether all was carried out."""
         finished = threading.Event()
-        self.put(finished.set)
+        self.put(finished.set)  # in its turn, behind all that was handed over
         return finished.wait(LONGEST_WAIT_S)
 
     def _carry_out(self) -> None:

@@ -36,7 +36,7 @@ class Sessions:
         """Return the token of a new link."""
         token = secrets.token_urlsafe(TOKEN_BYTES)
         self._links[token] = time.monotonic() + LINK_S
-        if len(self._links) > MOST_SESSIONS:
+        if len(self._links) > MOST_SESSIONS:  # a page that asks for links over and over costs no memory
             del self._links[next(iter(self._links))]
         return token
 
@@ -46,7 +46,7 @@ class Sessions:
         With one too many the session that was used longest ago ends, but none that has a connected page.
         """
         # Each is compared, in constant time: how long a refusal takes tells nothing of the links there are.
-        matching = [known for known in self._links if isinstance(token, str) and _is_equal(known, token)]
+        matching = [link for link in self._links if isinstance(token, str) and _is_equal(link, token)]
         if not matching or self._links.pop(matching[0]) < time.monotonic():
             return None
         if len(self._pages) >= MOST_SESSIONS:
@@ -58,12 +58,12 @@ class Sessions:
         self._pages[session] = 0
         return session
 
-    def known(self, given: str) -> str | None:
-        """Return the session that was given, which counts as used; None where there is none."""
-        found = next((session for session in self._pages if _is_equal(session, given)), None)
-        if found is not None:
-            self._pages[found] = self._pages.pop(found)
-        return found
+    def session_of(self, cookie: str) -> str | None:
+        """Return the session of a cookie, which counts as used; None where there is none."""
+        session = next((own for own in self._pages if _is_equal(own, cookie)), None)
+        if session is not None:  # to the end of the order, whose first is ended where there is one too many
+            self._pages[session] = self._pages.pop(session)
+        return session
 
     def connect(self, session: str) -> None:
         """Count a page that is connected from now on."""
@@ -74,9 +74,9 @@ class Sessions:
         self._pages[session] -= 1
 
 
-def _is_equal(known: str, given: str) -> bool:
+def _is_equal(own: str, given: str) -> bool:
     # "replace": half a character, as JSON can carry it, has no bytes of its own
-    return secrets.compare_digest(known.encode(), given.encode(errors="replace"))
+    return secrets.compare_digest(own.encode(), given.encode(errors="replace"))
 
 
 class Guard:
@@ -105,12 +105,14 @@ class Guard:
         """Return status and reason of a refusal, or no reason; a session is noted in the scope."""
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
         host, origin, path = headers.get("host", ""), headers.get("origin"), scope["path"]
+        # A name of elsewhere that leads here (DNS rebinding) makes its page the same origin for a browser.
         if host not in self._hosts:
             return 403, "the page is open at 127.0.0.1 and localhost only"
+        # Only the origin tells which page asks; where our own one reads, the browser gives none.
         is_change = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
         if (origin is not None or is_change) and origin != f"http://{host}":
             return 403, "the request comes from another page"
-        if not path.startswith(PROTECTED) or path == SESSION_PATH:
+        if not path.startswith(PROTECTED) or path == SESSION_PATH:  # what opens a session cannot need one
             return 200, ""
         cookies = http.cookies.SimpleCookie()
         try:
@@ -118,7 +120,7 @@ class Guard:
         except http.cookies.CookieError:
             return 401, "open the link that hitchid printed"
         morsel = cookies.get(self.cookie)
-        session = morsel and self._sessions.known(morsel.value)
+        session = morsel and self._sessions.session_of(morsel.value)
         if not session:
             return 401, "open the link that hitchid printed"
         scope[SESSION] = session
@@ -131,6 +133,7 @@ def cookie_name(port: int) -> str:
 
 
 def _with_headers(send: Send, path: str) -> Send:
+    # A report of the project may hold anything: it is shown, but runs nothing and asks nobody.
     policy = FILE_POLICY if path.startswith("/files/") else PAGE_POLICY
     headers = [
         (b"content-security-policy", policy.encode()),

@@ -90,6 +90,7 @@ def read_request(content: object, root: Path) -> tuple[Request, list[str], str]:
         request = _REQUEST.validate_python(content)
     except ValidationError as error:
         raise InputError(f"job: {describe_settings(error)}") from error
+    # Else a path could be an option of the command, or lie outside of the project.
     for name in ("logs", "model"):
         if hasattr(request, name):
             project.inside(root, getattr(request, name))
@@ -158,14 +159,14 @@ class Job:
             update = json.loads(line)["progress"]
             self.fraction = max(self.fraction, min(1.0, float(update["fraction"])))
             self.stage = str(update["stage"])
-            iteration = str(update["iteration"]).rpartition(" ")[2]
+            iteration = str(update["iteration"]).rpartition(" ")[2]  # the number of "iteration 12"
             figures, task = update["figures"], str(update["task"])
             prefix = f"{task} {self.stage.removeprefix(f'{task}: ')}" if task else self.stage
             for name, value in figures.items() if isinstance(figures, dict) else ():
                 curve = self.curves.setdefault(f"{prefix}: {name}", [])
                 curve.append((int(iteration) if iteration.isdecimal() else len(curve), float(value)))
                 if len(curve) > POINTS:
-                    del curve[::2]
+                    del curve[::2]  # the whole of a long search stays in sight
             message = str(update.get("message", ""))
             if message:
                 self.lines.append(message)
@@ -222,7 +223,7 @@ class Jobs:
         job = self._jobs.get(number)
         if job is None or job.state != "running" or job.process is None:
             raise InputError(f"job {number}: is not running")
-        job.state = "stopped"
+        job.state = "stopped"  # before it ends, which would count as a failure
         job.process.terminate()
 
     async def end(self) -> None:
@@ -232,7 +233,7 @@ class Jobs:
             self.stop(job.number)
         if self._tasks:
             _, unfinished = await asyncio.wait(self._tasks, timeout=LONGEST_END_S)
-            for process in (job.process for job in running if unfinished):
+            for process in (job.process for job in running if unfinished):  # one that ignores the request
                 if process is not None:
                     with contextlib.suppress(ProcessLookupError):
                         process.kill()
@@ -241,6 +242,7 @@ class Jobs:
 
     async def _run(self, job: Job, *, is_brief: bool) -> None:
         try:
+            # In a thread, as what the bench loop hears from this process must not wait for a disk.
             await asyncio.to_thread(self._prepare, job.out, is_brief=is_brief)
             await self._carry_out(job)
         except (OSError, HitchError) as error:
@@ -271,6 +273,7 @@ class Jobs:
             os.setpriority(os.PRIO_PROCESS, job.process.pid, NICE)
             Path(f"/proc/{job.process.pid}/oom_score_adj").write_text(OOM_SCORE)
         assert job.process.stdout is not None  # noqa: S101 - both are pipes
+        # Both pipes at once: a command waits for ever on one that is full and not read.
         output, _, _ = await asyncio.gather(
             job.process.stdout.read(), self._read_progress(job), job.process.wait()
         )
@@ -283,7 +286,7 @@ class Jobs:
             job.state = "done" if has_result else "failed"
         job.fraction = 1.0 if job.state == "done" else job.fraction
         self._publish(job.describe())
-        self._on_written()
+        self._on_written()  # also of a job that failed or was stopped: its physics model may be saved
 
     async def _read_progress(self, job: Job) -> None:
         assert job.process is not None  # noqa: S101 - called for a job that runs

@@ -1,22 +1,164 @@
 """The model beside the machine: blocks of samples in, predictions out; adapted while that is on."""
 
 import json
+import math
 import signal
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import chain
 from multiprocessing.connection import Connection
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hitchid.errors import HitchError, InputError
-from hitchid.hmi.model_beside import BLOCK, NO_ADAPTATION, ModelAdaptation
+from hitchid.hmi.model_beside import BLOCK, NO_ADAPTATION
 from hitchid.hmi.recorder import packed_rows
 from hitchid.hmi.source import is_same_sampling_time
-from hitchid.live import Monitor
+from hitchid.live import ChangeLog, Changes, Event, Monitor, OnlineAdaptation
+from hitchid.live.events import AT_LIMIT, CHANGE_DETECTED, FAULT, LEARNED, PROMOTED, REFUSED, ROLLED_BACK
 from hitchid.logs import COMMAND, DIRECTIONS, DISPLACEMENT, conversion_factor
-from hitchid.model import Hitch, load
+from hitchid.model import Hitch, load, save
+
+# Adaptation of the model beside the machine: its start, its change log, and what the page shows of it.
+
+STARTING, ON = "starting", "on"
+# Kinds of events that are shown, and how many: refused strokes must not hide the others; chosen.
+SHOWN = {(PROMOTED, ROLLED_BACK, CHANGE_DETECTED, AT_LIMIT, FAULT): 6, (REFUSED,): 2}
+
+
+class ModelAdaptation:
+    """Adaptation of one model, in the units of a source.
+
+    It starts in a thread of its own, as that takes seconds: the predictions go on meanwhile.
+
+    Args:
+        model: identified hitch.
+        path: of its change log; adaptation goes on from an existing one.
+        command_factors: direction to what a command of the source is multiplied by to be in the model's unit.
+
+    Raises:
+        InputError, OutputError: the file is no change log, that of another model, or cannot be written.
+    """
+
+    def __init__(self, model: Hitch, path: Path, command_factors: Mapping[str, float]) -> None:
+        self._factors, self._at_s = command_factors, 0.0
+        self._log = ChangeLog(path, model)
+        self._promoted: Counter[str] = Counter()
+        self._strokes: Counter[str] = Counter()
+        self._events = {kinds: deque[dict[str, Any]](maxlen=most) for kinds, most in SHOWN.items()}
+        for event in self._log.earlier:  # a promotion of an earlier sitting can be taken back as well
+            self._count(event)
+        self._directions = tuple(model.channels)
+        executor = ThreadPoolExecutor(1)
+        self._starting: Future[OnlineAdaptation] = executor.submit(
+            OnlineAdaptation, model, log=self._take, earlier=self._log.earlier
+        )
+        executor.shutdown(wait=False)  # its thread ends with this one task
+        self._online: OnlineAdaptation | None = None
+
+    @property
+    def model(self) -> Hitch | None:
+        """The model in use; None before the start."""
+        return None if self._online is None else self._online.model
+
+    def start(self) -> bool:
+        """Return whether it has started since the last call.
+
+        Raises:
+            InputError: the model cannot be adapted.
+        """
+        if self._online is not None or not self._starting.done():
+            return False
+        self._online = self._starting.result()
+        return True
+
+    def feed(self, begin_s: float, commands: np.ndarray, displacement: np.ndarray) -> bool:
+        """Take a block of samples in the model's units, the first at `begin_s`; say if anything was learned.
+
+        Commands are of shape [B, 2], displacements, NaN where there is none, of shape [B].
+
+        Raises:
+            OutputError: the change log cannot be written.
+        """
+        if self._online is None:
+            return False
+        self._at_s = begin_s  # of the source's clock, by which the page shows when an event took effect
+        return bool(self._online.feed(commands, displacement))
+
+    def roll_back(self, direction: object) -> None:
+        """Return to the parameters of one direction before its last promotion, as soon as nothing moves."""
+        self._started.rollback(str(direction))
+
+    def save(self, folder: Path) -> None:
+        """Write the model in use.
+
+        Raises:
+            OutputError: the folder exists, or cannot be written.
+        """
+        save(self._started.model, folder)
+
+    def end(self) -> None:
+        """End learning; strokes that are being learned from go into the change log."""
+        if self._online is None:
+            self._starting.add_done_callback(_abandon)
+        else:
+            self._online.finish()
+        self._log.close()
+
+    def describe(self) -> dict[str, object]:
+        """Return what the page shows: parameters in use in the units of the source, newest events first."""
+        changes = {} if self._online is None else self._online.changes
+        return {
+            "state": STARTING if self._online is None else ON,
+            "strokes": {"learned": self._strokes[LEARNED], "refused": self._strokes[REFUSED]},
+            "directions": {
+                direction: {
+                    **self._shown(direction, changes.get(direction, Changes())),
+                    "can_roll_back": self._online is not None and self._promoted[direction] > 0,
+                }
+                for direction in self._directions
+            },
+            "events": sorted(chain(*self._events.values()), key=itemgetter("at_s"), reverse=True),
+        }
+
+    @property
+    def _started(self) -> OnlineAdaptation:
+        if self._online is None:
+            raise InputError("adaptation has not started yet; wait until it is on")
+        return self._online
+
+    def _take(self, event: Event) -> None:
+        self._log.write(event)
+        self._count(event)
+        self._strokes[event.kind] += 1
+        shown = {"kind": event.kind, "direction": event.direction, "reason": event.reason, "at_s": self._at_s}
+        for kinds, latest in self._events.items():
+            if event.kind in kinds:
+                latest.append({**shown, **self._shown(event.direction, event.changes)})
+
+    def _count(self, event: Event) -> None:
+        """Count the promotions that can be taken back."""
+        if event.kind == PROMOTED:
+            self._promoted[event.direction] += 1
+        elif event.kind == ROLLED_BACK:
+            self._promoted[event.direction] = max(0, self._promoted[event.direction] - 1)
+
+    def _shown(self, direction: str, changes: Changes) -> dict[str, float]:
+        return {
+            "gain_percent": 100 * math.expm1(changes.gain),
+            "dead_zone": changes.dead_zone / self._factors.get(direction, 1.0),
+        }
+
+
+def _abandon(starting: Future[OnlineAdaptation]) -> None:
+    """End an adaptation that has started after it was switched off."""
+    if not starting.cancelled() and starting.exception() is None:
+        starting.result().finish()
+
 
 FREE_RUN, AHEAD = 1, 2  # kinds of messages to the page
 HORIZON_S = 1.0  # s of the prediction ahead
@@ -48,7 +190,7 @@ class MonitorLoop:
         self._block = max(1, round(BLOCK_S / step_s))
         self._monitor: Monitor | None = None
         self._is_running = False
-        self._waiting, self._latest_s = np.empty((0, 4)), np.inf
+        self._waiting, self._latest_s = np.empty((0, 4)), np.inf  # infinite: no gap before the first sample
         self._adaptation: ModelAdaptation | None = None
         self._reason, self._is_told = "", True
 
@@ -120,10 +262,10 @@ class MonitorLoop:
     def _predict(self, block: np.ndarray) -> list[tuple[int, np.ndarray]]:
         commands, measured = self._in_model_units(block)
         if not self._is_running and not np.isfinite(measured[0]):
-            return []
+            return []  # nowhere to start from
         if self._monitor is None:
             self._monitor = Monitor(self._identified, measured[0], block=self._block, horizon_s=HORIZON_S)
-            self._monitor.adjust(self._model)
+            self._monitor.adjust(self._model)  # made of the identified one, whose program stays
         elif not self._is_running:
             self._monitor.restart(measured[0])
         self._is_running = True
@@ -180,6 +322,7 @@ def main(arguments: Sequence[str]) -> None:
     """Predict until the server is gone, given the file descriptor of the connection and settings as JSON."""
     from hitchid._support.jax_setup import prepare_jax
 
+    # Ctrl-C ends the server, which ends this process: the change log is closed in order.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     connection, settings = Connection(int(arguments[0])), json.loads(arguments[1])
     loop = None
@@ -202,6 +345,7 @@ def main(arguments: Sequence[str]) -> None:
 
 def _proceed(loop: MonitorLoop, connection: Connection, waiting: deque[bytes]) -> None:
     """Take a message: a request is answered at once, samples are predicted when no message is left."""
+    # Else a button would wait for the predictions of seconds that have piled up.
     if waiting and not connection.poll():
         rows = np.frombuffer(waiting.popleft()[len(BLOCK) :]).reshape(-1, COLUMNS)
         for kind, predicted in loop.advance(rows[:, 1:]):
@@ -211,15 +355,7 @@ def _proceed(loop: MonitorLoop, connection: Connection, waiting: deque[bytes]) -
     if message.startswith(BLOCK):
         waiting.append(message)
         return
-    request = json.loads(message)
-    error = _error_of(loop, request)
-    is_written = error is None and request["type"] == "save_adapted"
-    reply = {"type": "reply", "id": request["id"], "error": error, "written": is_written}
-    connection.send_bytes(json.dumps(reply).encode())
-
-
-def _error_of(loop: MonitorLoop, request: Mapping[str, Any]) -> str | None:
-    """Carry out a request; return why that is not possible, or None."""
+    request, error = json.loads(message), None
     try:
         match request["type"]:
             case "monitor_restart":
@@ -232,6 +368,8 @@ def _error_of(loop: MonitorLoop, request: Mapping[str, Any]) -> str | None:
                 loop.adaptation.save(Path(request["folder"]))
             case kind:
                 raise InputError(f"{kind!r:.40} is no request to the model beside the machine")
-    except HitchError as error:
-        return str(error)
-    return None
+    except HitchError as problem:
+        error = str(problem)
+    is_written = error is None and request["type"] == "save_adapted"
+    reply = {"type": "reply", "id": request["id"], "error": error, "written": is_written}
+    connection.send_bytes(json.dumps(reply).encode())

@@ -1,6 +1,5 @@
 """Plans of the operator: a campaign, a file of commands, a closed loop."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -24,8 +23,15 @@ from hitchid.logs import (
 MARGIN = 0.02  # of the travel, beyond its ends before the loop stops, and left free by tests; chosen
 
 
-class LimitsFile(StrictSettings):
-    """The limits file of a machine: largest commands, lowest and highest displacement, longest silence."""
+class Limits(StrictSettings):
+    """Limits of a source, as the limits file of a machine gives them.
+
+    Attributes:
+        lifting_command, lowering_command: largest of each.
+        lowest_displacement, highest_displacement: ends of the travel.
+        command_unit, displacement_unit: of both.
+        sensor_silence_s: longest time without a displacement while something moves, s.
+    """
 
     lifting_command: float = Field(gt=0, allow_inf_nan=False)
     lowering_command: float = Field(gt=0, allow_inf_nan=False)
@@ -33,48 +39,41 @@ class LimitsFile(StrictSettings):
     highest_displacement: float = Field(allow_inf_nan=False)
     command_unit: str = "A"
     displacement_unit: str = "mm"
+    # At most a second: a machine that is driven without a measured displacement may run into its stops.
     sensor_silence_s: float = Field(default=0.05, gt=0, le=1)
 
     @model_validator(mode="after")
-    def _ordered(self) -> "LimitsFile":
+    def _ordered(self) -> "Limits":
         if not self.lowest_displacement < self.highest_displacement:
             raise ValueError("lowest_displacement must be below highest_displacement")
         return self
 
+    @property
+    def commands(self) -> tuple[float, float]:
+        """Largest lifting and lowering command."""
+        return self.lifting_command, self.lowering_command
 
-@dataclass(frozen=True)
-class Limits:
-    """Limits of a source.
-
-    Attributes:
-        commands: largest lifting and lowering command.
-        displacement: lowest and highest displacement.
-        sensor_silence_s: longest time without a displacement while something moves, s.
-        command_unit, displacement_unit: of both.
-    """
-
-    commands: tuple[float, float]
-    displacement: tuple[float, float]
-    sensor_silence_s: float = 0.05
-    command_unit: str = "A"
-    displacement_unit: str = "mm"
+    @property
+    def displacement(self) -> tuple[float, float]:
+        """Lowest and highest displacement."""
+        return self.lowest_displacement, self.highest_displacement
 
     @property
     def travel(self) -> float:
         """Difference of highest and lowest displacement."""
-        return self.displacement[1] - self.displacement[0]
+        return self.highest_displacement - self.lowest_displacement
 
     def is_beyond(self, displacement: float) -> bool:
         """Return whether a displacement is outside by more than the margin."""
         low, high = self.displacement
+        # So put that a displacement that is no number is beyond as well.
         return not low - MARGIN * self.travel <= displacement <= high + MARGIN * self.travel
 
     def describe(self) -> dict[str, object]:
         """Return the limits as content for JSON."""
-        lifting, lowering = self.commands
         return {
-            "lifting_command": lifting,
-            "lowering_command": lowering,
+            "lifting_command": self.lifting_command,
+            "lowering_command": self.lowering_command,
             "displacement": list(self.displacement),
             "units": {"command": self.command_unit, "displacement": self.displacement_unit},
         }
@@ -83,7 +82,12 @@ class Limits:
 def limits_of_rig(rig: Rig) -> Limits:
     """Return the limits of a virtual bench: currents at which its valves are wide open, A; its stroke, mm."""
     limits = rig_limits(rig)
-    return Limits((limits.lifting_saturation_a, limits.lowering_saturation_a), (0.0, 1e3 * limits.stroke_m))
+    return Limits(
+        lifting_command=limits.lifting_saturation_a,
+        lowering_command=limits.lowering_saturation_a,
+        lowest_displacement=0.0,
+        highest_displacement=1e3 * limits.stroke_m,
+    )
 
 
 def read_limits(path: Path) -> Limits:
@@ -92,14 +96,7 @@ def read_limits(path: Path) -> Limits:
     Raises:
         SettingsError: the file cannot be read, or a key is missing, unknown or wrong.
     """
-    content = parse_settings(path, LimitsFile)
-    return Limits(
-        (content.lifting_command, content.lowering_command),
-        (content.lowest_displacement, content.highest_displacement),
-        content.sensor_silence_s,
-        content.command_unit,
-        content.displacement_unit,
-    )
+    return parse_settings(path, Limits)
 
 
 POSITIONING_S = 12.0  # s, of a move between two tests, for the estimate of the time left; chosen
@@ -138,11 +135,13 @@ class CampaignPlan(StrictSettings):
     def _distinct(cls, directions: tuple[str, ...]) -> tuple[str, ...]:
         if not directions:
             raise ValueError("expected lifting, lowering or both")
+        # In one order and once each: the draws of a seed do not depend on how they were given.
         return tuple(direction for direction in DIRECTIONS if direction in directions)
 
     @property
     def excited(self) -> tuple[str, ...]:
         """Directions whose ramps are needed."""
+        # Cycles move both ways, and so need the dead zone and the speed of both.
         return DIRECTIONS if self.cycles else self.directions
 
     @property
@@ -191,6 +190,7 @@ class DrivePlan(StrictSettings):
 
 
 Plan = CampaignPlan | FilePlan | DrivePlan
+# By `kind`: an error then names the key of the plan that was meant, not those of all three.
 _PLAN: TypeAdapter[Plan] = TypeAdapter(Annotated[Plan, Field(discriminator="kind")])
 
 
@@ -219,14 +219,18 @@ def read_commands(path: Path, step_s: float) -> np.ndarray:
             time.
     """
     try:
-        if path.stat().st_size > MOST_BYTES:
+        if path.stat().st_size > MOST_BYTES:  # before it is read
             raise InputError(f"{path.name}: is larger than {MOST_BYTES / 1e6:g} MB; shorten it")
         with path.open(encoding="utf-8") as file:
             names = [name.strip() for name in file.readline().split(",")]
             rows = np.loadtxt(file, delimiter=",", ndmin=2)
     except (OSError, ValueError) as error:
         raise InputError(f"{path.name}: cannot be read: {error}; expected a CSV of numbers") from error
-    given = [_column(names, COMMAND[direction]) for direction in DIRECTIONS]
+    given: list[int | None] = []
+    for role in map(COMMAND.__getitem__, DIRECTIONS):
+        default = getattr(DEFAULT_SIGNALS, role).column
+        matching = (number for number, name in enumerate(names) if name == default or name.startswith(role))
+        given.append(next(matching, None))
     if names[:1] != ["time_s"] or given == [None, None] or rows.shape[1] != len(names) or len(rows) < 2:
         raise InputError(
             f"{path.name}: has the columns {', '.join(names)}; expected time_s first, then lifting_command, "
@@ -238,17 +242,13 @@ def read_commands(path: Path, step_s: float) -> np.ndarray:
     )
     if not np.all(np.isfinite(rows)) or np.any(np.diff(time_s) <= 0) or np.any(commands < 0):
         raise InputError(f"{path.name}: expected finite numbers, rising times and commands of at least zero")
+    # Refused before anything moves: the bench loop would stop the run at such a row.
     if np.any(np.all(commands > 0, axis=1)):
         raise InputError(f"{path.name}: commands both valves at once; expected one of them to be zero")
+    # Two rows may be a year apart: the count is checked before memory is reserved for it.
     count = round((time_s[-1] - time_s[0]) / step_s) + 1
     if count > MOST_SAMPLES:
         raise InputError(f"{path.name}: has {count} samples; expected at most {MOST_SAMPLES}")
     clock = np.arange(count) * step_s + time_s[0]
     held = np.searchsorted(time_s, clock + 1e-6 * step_s, side="right") - 1  # against rounding of the times
     return commands[held]
-
-
-def _column(names: list[str], role: str) -> int | None:
-    default = getattr(DEFAULT_SIGNALS, role).column
-    matching = [number for number, name in enumerate(names) if name == default or name.startswith(role)]
-    return matching[0] if matching else None

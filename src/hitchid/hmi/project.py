@@ -29,6 +29,7 @@ def lock(project: Path, address: str) -> int | None:
     Raises:
         InputError: another process has it, with its address.
     """
+    # Neither what a link leads to is written, nor the other end of a pipe waited for.
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
     try:
         file = os.open(project / LOCK_FILE, flags, 0o600)
@@ -43,7 +44,7 @@ def lock(project: Path, address: str) -> int | None:
     except OSError:
         os.close(file)
         return None
-    os.ftruncate(file, 0)
+    os.ftruncate(file, 0)  # only now that it is ours: before, its content was another server's address
     os.write(file, address.encode())
     return file
 
@@ -68,6 +69,7 @@ def inside(project: Path, path: object) -> Path:
     Raises:
         InputError: there is none, or it is outside, also by a link.
     """
+    # No part can be ".." or empty, as each begins with a letter or digit; what is left are links.
     parts = path.split("/") if isinstance(path, str) else []
     if len(parts) < 2 or parts[0] not in FOLDERS or not all(NAME.fullmatch(part) for part in parts):
         raise InputError(f"path: expected a file in {', '.join(FOLDERS)}, got {path!r:.80}")
@@ -84,10 +86,10 @@ def file_inside(project: Path, path: object) -> Path:
     Raises:
         InputError: there is none, or it is outside, or no regular file: a pipe could be waited for for ever.
     """
-    found = inside(project, path)
-    if not found.is_file():
+    file = inside(project, path)
+    if not file.is_file():
         raise InputError(f"path: expected a file, got {path!r:.80}")
-    return found
+    return file
 
 
 def place(project: Path, path: str) -> Path:
@@ -97,6 +99,7 @@ def place(project: Path, path: str) -> Path:
         OutputError: there is something already, or its folder cannot be made or is a link, by which what is
             written would land elsewhere.
     """
+    # Links are looked at before anything is made: no folder should appear where one leads.
     target, folder = project / path, os.path.dirname(path)
     if os.path.realpath(target.parent) != os.path.join(os.path.realpath(project), folder).rstrip("/"):
         raise OutputError(f"{folder}: is a link; expected a folder of the project")
@@ -144,7 +147,7 @@ def contents(project: Path) -> dict[str, object]:
     ]
     controllers = [entry for entry in _entries(project, CONTROLLERS) if entry["name"].endswith(".toml")]
     return {
-        "folder": project.resolve().name,
+        "folder": project.resolve().name,  # "." has none
         "most": MOST_ENTRIES,
         CAMPAIGNS: campaigns,
         MODELS: models,
@@ -157,33 +160,34 @@ def contents(project: Path) -> dict[str, object]:
 def logs(project: Path) -> list[str]:
     """Return the newest logs of campaigns, drives and recordings, relative to the project."""
     campaigns = [entry["path"] for entry in _entries(project, CAMPAIGNS)]
-    found = [
+    dated = [
         (_changed_s(child), f"{folder}/{child.name}")
         for folder in (*campaigns, DRIVES, RECORDINGS)
         for child in _children(project, folder)
         if _is_log(child)
     ]
-    return [path for _, path in sorted(found, reverse=True)[:MOST_LOGS]]
+    return [path for _, path in sorted(dated, reverse=True)[:MOST_LOGS]]
 
 
 def _is_log(child: os.DirEntry[str]) -> bool:
+    # What is offered for a replay must pass `inside` when it is chosen.
     return child.name.endswith(LOG_FORMATS) and NAME.fullmatch(child.name) is not None
 
 
 def _children(project: Path, folder: str) -> list[os.DirEntry[str]]:
     """Return what is in a folder, and in the project also where links lead to."""
-    place, root = project / folder, os.path.realpath(project)
-    if not place.is_dir() or not _is_inside(root, place):
+    path, root = project / folder, os.path.realpath(project)
+    if not path.is_dir() or not _is_inside(root, path):
         return []
     return [
         child
-        for child in os.scandir(place)
+        for child in os.scandir(path)
         if NAME.fullmatch(child.name) and (not child.is_symlink() or _is_inside(root, Path(child.path)))
     ]
 
 
-def _is_inside(root: str, place: Path) -> bool:
-    return Path(os.path.realpath(place)).is_relative_to(root)
+def _is_inside(root: str, path: Path) -> bool:
+    return Path(os.path.realpath(path)).is_relative_to(root)
 
 
 def _changed_s(child: os.DirEntry[str]) -> float:

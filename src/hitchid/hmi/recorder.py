@@ -29,8 +29,8 @@ class History:
 
     def append(self, rows: np.ndarray) -> None:
         """Append samples, shape [N, columns]; the oldest are overwritten."""
-        places = (self._count + np.arange(len(rows))) % len(self._rows)
-        self._rows[places] = rows
+        slots = (self._count + np.arange(len(rows))) % len(self._rows)
+        self._rows[slots] = rows
         self._count += len(rows)
 
     def decimated(self, begin_s: float, end_s: float, points: int) -> np.ndarray:
@@ -47,6 +47,7 @@ class History:
             return inside
         edges = np.linspace(0, len(inside), max(1, points // 2) + 1).astype(int)
         extremes = np.empty((2 * (len(edges) - 1), inside.shape[1]))
+        # A bin that lacks some values still has a lowest and a highest of the others.
         extremes[::2] = np.fmin.reduceat(inside, edges[:-1])
         extremes[1::2] = np.fmax.reduceat(inside, edges[:-1])
         extremes[::2, 0], extremes[1::2, 0] = inside[edges[:-1], 0], inside[edges[1:] - 1, 0]
@@ -65,10 +66,11 @@ class SpeedEstimate:
         """Return the speed at each of the next samples, in the displacement's unit a second, shape [N]."""
         pairs = rows[:, [0, self._column]]
         if self._before is None:
+            # As if it had rested before: the speed at the start is zero, not that from nowhere.
             self._before = np.repeat(pairs[:1], self._span, axis=0)
-        known = np.concatenate([self._before, pairs])
-        self._before = known[-self._span :]
-        elapsed_s, travel = (known[self._span :] - known[: -self._span]).T
+        recent = np.concatenate([self._before, pairs])
+        self._before = recent[-self._span :]
+        elapsed_s, travel = (recent[self._span :] - recent[: -self._span]).T
         return np.divide(travel, elapsed_s, out=np.zeros(len(rows)), where=elapsed_s > 0)
 
 
@@ -106,7 +108,7 @@ class Recorder:
     def append(self, readings: Iterable[Reading]) -> None:
         """Append samples; their time starts at zero."""
         for reading in readings:
-            if self._begin_s is None or self._flushed_s is None:
+            if self._begin_s is None or self._flushed_s is None:  # zero of the log
                 self._begin_s = self._flushed_s = reading.time_s
             cells = (reading.time_s - self._begin_s, *reading.values)
             self._lines.append(",".join(map(_cell, cells)) + "\n")
@@ -127,15 +129,16 @@ class Recorder:
 
     def _open(self, root: Path, path: str, header: bytes) -> None:
         try:
-            place = project.place(root, path)
-            self._file = os.open(place, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_EXCL, 0o644)
+            project.place(root, path)
+            # Made here or not at all: another log of this name may have come since it was looked for.
+            self._file = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_EXCL, 0o644)
         except OSError as error:
             raise OutputError(f"{path}: cannot be written: {error.strerror}; choose another name") from error
         try:
             self._write(header)
         except OutputError:
             self._close()
-            place.unlink(missing_ok=True)  # an empty log would only keep its name from being used
+            self.path.unlink(missing_ok=True)  # an empty log would only keep its name from being used
             raise
 
     def _write(self, data: bytes) -> None:
@@ -144,10 +147,10 @@ class Recorder:
         rest, whole = memoryview(data), os.fstat(self._file).st_size
         try:
             while rest:
-                rest = rest[os.write(self._file, rest) :]
+                rest = rest[os.write(self._file, rest) :]  # which takes a part where a disk fills up
         except OSError as error:
             with contextlib.suppress(OSError):
-                os.ftruncate(self._file, whole)  # of a line that did not fit
+                os.ftruncate(self._file, whole)  # a line that did not fit whole is none
             raise OutputError(f"{self.path}: cannot be written: {error.strerror}") from error
 
     def _close(self) -> None:

@@ -48,14 +48,15 @@ class Safety:
 
     def disconnect(self, reason: str = "") -> "Safety":
         """Return the state without a source; one that was stopped stays so."""
-        if self.state in (State.ARMED, State.RUNNING):
+        if self.state in (State.ARMED, State.RUNNING):  # it may have moved until then: that must be looked at
             return self.stop(reason or "the source was disconnected")
         if self.state is State.STOPPED:  # somebody has to look at the machine first
             return self
-        return Safety(State.DISCONNECTED, reason, server_s=self.server_s)
+        return Safety(State.DISCONNECTED, reason, server_s=self.server_s)  # the server goes on
 
     def arm(self, *, is_attended: bool, now_s: float) -> "Safety":
         """Return the armed state; raises `InputError` unless idle."""
+        # The page that asks is alive: its silence counts from now.
         return replace(self._to(State.ARMED, State.IDLE), is_attended=is_attended, page_s=now_s)
 
     def start(self, now_s: float) -> "Safety":

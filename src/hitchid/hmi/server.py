@@ -64,6 +64,7 @@ class Server:
         except OSError as error:
             raise InputError(f"port {port}: {error.strerror}; choose another --port") from error
         self.port = self._socket.getsockname()[1]
+        # Only now is the address known that the lock names for whoever comes second.
         self._lock = project.lock(settings.root, f"http://{HOST}:{self.port}/")
         self._sessions = Sessions()
         self._console = Console(settings)
@@ -102,9 +103,10 @@ class Server:
             backlog=MOST_WAITING,
             ws_max_size=MOST_JSON,
             ws_per_message_deflate=False,
-            timeout_graceful_shutdown=2,
+            timeout_graceful_shutdown=2,  # pages keep their websocket open: Ctrl-C does not wait for them
             server_header=False,
         )
+        # A connection is an open file: as many as the system lets this process have.
         _, most_files = resource.getrlimit(resource.RLIMIT_NOFILE)
         with contextlib.suppress(ValueError):  # of a system that has no number for it
             resource.setrlimit(resource.RLIMIT_NOFILE, (most_files, most_files))
@@ -135,7 +137,8 @@ class Server:
                 if isinstance(connection, H11Protocol)
                 and (connection.cycle is None or connection.cycle.response_complete)
             ]
-            since_s = {place: since_s.get(place, now_s) for place in waiting}
+            # By request: the time counts anew for each further one of a connection that is kept.
+            since_s = {request: since_s.get(request, now_s) for request in waiting}
             for (connection, _), begun_s in since_s.items():
                 if now_s - begun_s > LONGEST_REQUEST_S:
                     connection.transport.abort()
@@ -168,6 +171,7 @@ class Server:
         history = self._console.history
         if history is None:
             raise InputError("history: there is no source; connect one first")
+        # Whatever the page asks for, the answer stays small and the server free for the next.
         rows = history.decimated(begin_s, end_s, int(min(max(points, 2), MOST_POINTS)))
         return Response(packed_rows(MEASURED, rows, 1e3 * time.time()), media_type="application/octet-stream")
 
@@ -182,6 +186,7 @@ class Server:
 
     async def _upload(self, request: Request) -> Response:
         self._console.clients.check_operates(request.scope[SESSION])
+        # The name first: what cannot be written is refused before its bytes are read.
         path = f"{project.UPLOADS}/{project.checked_name(request.query_params.get('name'))}"
         content = await self._body(request, MOST_UPLOAD)
         await asyncio.to_thread(project.write_new, self._console.settings.root, path, content)
@@ -207,7 +212,7 @@ class Server:
             async with asyncio.timeout(LONGEST_REQUEST_S), self._bodies:
                 async for chunk in request.stream():
                     content += chunk
-                    if len(content) > most:
+                    if len(content) > most:  # counted as it comes: the length that is announced may be wrong
                         raise InputError(f"the request is larger than {most / 1e6:g} MB")
         except ClientDisconnect as error:
             raise InputError("the request ended early; send it again") from error
@@ -219,6 +224,7 @@ class Server:
         return FileResponse(project.file_inside(self._console.settings.root, request.path_params["path"]))
 
     async def _page(self, request: Request) -> Response:
+        # From memory, by names that are known: no path of a request reaches the disk here.
         name = request.path_params["path"] or INDEX
         if name not in self._pages:
             return Answer({"error": "there is no such page"}, 404)
@@ -247,6 +253,7 @@ class Server:
             pass
         finally:
             sending.cancel()
+            # The operator's page that goes, however it does, stops what it moves.
             self._console.part(client)
             self._sessions.disconnect(session)
 
@@ -294,7 +301,7 @@ def _number(request: Request, name: str) -> float:
         number = float(text)
     except ValueError:
         number = float("nan")
-    if not abs(number) < 1e12:
+    if not abs(number) < 1e12:  # nor is it no number
         raise InputError(f"{name}: expected a number, got {text!r:.40}")
     return number
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -49,13 +49,6 @@ EFFECT_S = 0.5
 MOST_PENDING = 8  # strokes that wait; while there are more, further ones are refused; chosen
 
 
-class _Sent(NamedTuple):
-    """A request to the process: the sample from which on the answer counts, and when, s."""
-
-    due: int
-    sent_s: float
-
-
 class OnlineAdaptation:
     """Cuts strokes from samples, and learns from them in another process, one after the other.
 
@@ -90,7 +83,8 @@ class OnlineAdaptation:
         self._identified, self._log = model, log
         self._samples = last_sample(earlier, model.step_s)
         self._cutter = StrokeCutter(model, self._samples)
-        self._pending: deque[_Sent] = deque()
+        # Of each request the sample from which on its answer counts, and when it was sent, s.
+        self._pending: deque[tuple[int, float]] = deque()
         self._ended = False
         self.changes: dict[str, Changes] = {}
         self._bands: dict[str, float] = {}
@@ -109,7 +103,7 @@ class OnlineAdaptation:
                 "earlier": [event.to_json() for event in earlier],
             }
             self._outbox.put(json.dumps(given).encode())
-            self._receive()
+            self._receive()  # waits until the model is read, whose folder is removed, and all is compiled
 
     @property
     def model(self) -> Hitch:
@@ -130,8 +124,8 @@ class OnlineAdaptation:
         for stroke in self._cutter.feed(commands, displacement):
             events += self._learn(stroke)
         if not self._cutter.moves:
-            while self._pending and self._samples >= self._pending[0].due:
-                if not self._is_answered(self._pending[0]):
+            while self._pending and self._samples >= self._pending[0][0]:
+                if not self._is_answered(self._pending[0][1]):
                     break
                 events += self._receive()
         return self._logged(events)
@@ -161,11 +155,12 @@ class OnlineAdaptation:
         return []
 
     def _ask(self, message: bytes, due: int) -> None:
-        self._pending.append(_Sent(due, time.monotonic()))
+        self._pending.append((due, time.monotonic()))
         self._outbox.put(message)
 
-    def _is_answered(self, sent: _Sent) -> bool:
-        return self._connection.poll(max(0.0, EFFECT_S - (time.monotonic() - sent.sent_s)))
+    def _is_answered(self, sent_s: float) -> bool:
+        # Samples of a file come faster than in time: these wait for what a machine would have learned by now.
+        return self._connection.poll(max(0.0, EFFECT_S - (time.monotonic() - sent_s)))
 
     def _receive(self) -> list[Event]:
         """Take an answer of the process; return its events."""
@@ -173,7 +168,7 @@ class OnlineAdaptation:
             header, numbers = self._connection.recv_bytes().split(b"\n", 1)
         except (EOFError, OSError):
             self._ended = True
-            self._pending.clear()
+            self._pending.clear()  # nobody answers them any more
             return [self._event(FAULT, "the process that learns has ended; the model stays as it is", "")]
         content = json.loads(header)
         if "error" in content:
@@ -205,6 +200,7 @@ def main(arguments: Sequence[str]) -> None:
     """
     from hitchid._support.jax_setup import prepare_jax
 
+    # Ctrl-C ends the program that asks, which then waits here for the strokes that were sent.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     connection = Connection(int(arguments[0]))
     try:
@@ -228,6 +224,7 @@ def _learn(connection: Connection, given: dict[str, Any]) -> None:
             "bands": state.band_factors,
             "events": [event.to_json() for event in events],
         }
+        # Computed here: where the model runs it would make a sample wait.
         numbers = np.asarray(numbers_of_models(adapter.adapted(state)))
         connection.send_bytes(json.dumps(header).encode() + b"\n" + numbers.tobytes())
         message = connection.recv_bytes()

@@ -106,6 +106,7 @@ class Adapter:
             InputError: an entry changes a channel that the model lacks, or beyond its bounds.
         """
         for event in events:
+            # Faults and strokes of both valves have no channel, but change nothing.
             if event.direction not in self._channels and event.changes != Changes():
                 raise InputError(
                     f"change log: expected changes of {' or '.join(self._channels)}, got {event.direction!r}"
@@ -126,6 +127,7 @@ class Adapter:
             stroke: of any direction.
         """
         number, channels, events = state.strokes + 1, dict(state.channels), []
+        # Before the stroke itself is judged, as it is seen also where that is refused.
         standstill = standstill_before(self.model, stroke, state.ended_at, state.rested_at)
         fault = "" if standstill is None else standstill.fault(self.model)
         if fault:
@@ -149,7 +151,7 @@ class Adapter:
                 else event
                 for event in events
             ]
-        rested = rested_at(stroke, self.model.step_s)
+        rested = rested_at(stroke, self.model.step_s)  # whatever was learned: the next standstill begins here
         return AdapterState(channels, number, stroke.end, rested), tuple(events)
 
     def _event(self, kind: str, stroke: Stroke, number: int, reason: str) -> Event:
@@ -224,7 +226,7 @@ def adapt(
         commands = np.column_stack(
             [converted.signals.get(COMMAND[direction], np.zeros(len(converted))) for direction in DIRECTIONS]
         )
-        cutter = StrokeCutter(model)
+        cutter = StrokeCutter(model)  # a stroke that a log cuts off does not go on in the next one
         state = replace(state, rested_at=math.nan)  # what happened between logs is not known
         for stroke in cutter.feed(commands, converted.displacement) + cutter.finish():
             state, happened = adapter.learn(state, stroke._replace(begin=before + stroke.begin))

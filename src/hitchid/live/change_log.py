@@ -166,6 +166,7 @@ def trends(events: Sequence[Event], limits: Mapping[str, float]) -> tuple[Trend,
     learned = [event for event in events if event.kind == LEARNED]
     made = []
     for direction in dict.fromkeys(event.direction for event in learned):
+        # From the latest backwards: the newest estimate says most of what comes.
         apart = [event for event in learned if event.direction == direction][::-1][::STROKES_APART][::-1]
         if len(apart) >= FEWEST:
             made += [_trend(direction, parameter, apart, limits) for parameter in PARAMETERS]
@@ -187,6 +188,7 @@ def _trend(direction: str, parameter: str, events: Sequence[Event], limits: Mapp
         np.array([event.figures[name] for event in events]) for name in (parameter, f"{parameter}_deviation")
     )
     weights = 1 / deviations**2
+    # About their weighted mean, where slope and mean are independent of each other.
     centred = hours - np.average(hours, weights=weights)
     spread = float(np.sum(weights * centred**2))
     slope = float(np.sum(weights * centred * values)) / spread
@@ -231,6 +233,7 @@ class ChangeLog:
         self._first = json.dumps({"model": digest}) + "\n" if digest else ""  # none if it was never saved
         if path.exists() and not path.is_file():
             raise InputError(f"{path}: cannot be a change log: expected a file")
+        # Innermost first, so that they can be removed again one after the other.
         self._made = (
             [] if path.exists() else [path, *(folder for folder in path.parents if not folder.exists())]
         )
@@ -243,7 +246,7 @@ class ChangeLog:
             self._lock()
             # Read before anything of it is changed.
             self.earlier, size = read_log(path, model)
-            self._file.seek(self._file.truncate(size))
+            self._file.seek(self._file.truncate(size))  # without a last line that was cut short
             with path.open("rb") as existing:
                 existing.seek(max(size - 1, 0))
                 ends_line = existing.read() == b"\n"
@@ -262,7 +265,7 @@ class ChangeLog:
         Raises:
             OutputError: it cannot be written.
         """
-        first = "" if self._file.tell() else self._first
+        first = "" if self._file.tell() else self._first  # only with an entry: an empty log leaves no file
         try:
             self._append(f"{first}{event.to_json()}\n".encode())
         except OSError as error:
@@ -300,6 +303,7 @@ class ChangeLog:
 
             try:
                 fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                # Its last writer may just have removed it: what is written then would be in no folder.
                 is_there = os.path.samestat(os.fstat(self._file.fileno()), os.stat(self._path))
             except (BlockingIOError, FileNotFoundError):
                 is_there = False  # another process has it, or has just removed it

@@ -84,6 +84,7 @@ class ChannelAdaptation:
         Raises:
             InputError: an entry puts a parameter, or the factor on the bands, beyond its bounds.
         """
+        # Numbers are those of the log, not computed anew: the model is then alike bit for bit.
         snapshots, deployed, band = [Changes()], Changes(), BandFactor()
         for event in events:
             band = BandFactor(event.figures.get("band", band.log))
@@ -109,6 +110,7 @@ class ChannelAdaptation:
         if reason:
             return state, [self._event(REFUSED, state, stroke, number, reason)]
         # The cheap checks came first: a refused stroke costs no simulation.
+        # Without a promotion to watch it is the target once more: each run has its place in one program.
         before = state.target if state.watch is None else state.watch.changes
         tried = [trial.changes for trial in state.candidates]
         tried += [state.target] * (MOST_CANDIDATES - len(tried))
@@ -116,12 +118,14 @@ class ChannelAdaptation:
         own_changes = self._estimates.own_changes(state, stroke)
         changes = [state.target, state.deployed, before, Changes(), *tried, *own_changes]
         runs = self._errors.runs(stroke, changes)
+        # The better of the two: where a stroke tells little of the dead zone, the gain alone fits it better.
         own = OWN + int(np.argmin(runs.mean_squares[OWN:]))
         reason = self._gate.misfit(runs, own, state.misfit)
         beyond = self._bounds.beyond(runs.changes[own])
         if beyond and not reason:
             reason = f"its own {beyond} is beyond the largest change"
         variance = self._estimates.variance(state, float(np.ptp(runs.displacement[TARGET_RUN])))
+        # A starved pump looks like a lower gain to the checks before.
         limit = speed_limit(runs, TARGET_RUN, OWN, variance)
         if limit < 1 and not reason:
             reason = f"its speed is limited to {limit:.2g} of the fastest of the model, whatever the command"
@@ -136,6 +140,7 @@ class ChannelAdaptation:
         before, events = state, []
         misfit = state.misfit + MISFIT_RATE * (runs.share_left(own) - state.misfit)
         figures, band, coverage = {}, state.band, self._settings.coverage
+        # Of the parameters in use, as the bands that are shown are of them.
         half_width = self._errors.half_width(stroke, state.deployed, coverage)
         if half_width is not None:
             is_outside = np.abs(runs.errors[DEPLOYED_RUN]) > half_width(band.factor)
@@ -152,6 +157,7 @@ class ChannelAdaptation:
             state, happened = self._detected(state, stroke, number, fits[TARGET_RUN])
             events += happened
         state, happened = self._estimated(state, stroke, number, fits[TARGET_RUN])
+        # Both errors of the same stroke: whether adaptation helps can be read off the log.
         errors, speed_error = np.sqrt(runs.mean_squares), fits[TARGET_RUN].speed_error
         mean, deviation = state.estimate.mean, np.sqrt(np.diag(state.estimate.covariance))
         figures = {
@@ -182,8 +188,9 @@ class ChannelAdaptation:
 
         Where a user requested it there is no stroke, but a time, s.
         """
-        snapshots = state.snapshots[:-1] or state.snapshots
+        snapshots = state.snapshots[:-1] or state.snapshots  # the identified values always stay
         back = snapshots[-1]
+        # All that was learned led to what is taken back: it begins anew, free to move.
         estimate = Estimate(np.array(back), self._estimates.wide)
         state = replace(
             state,
@@ -224,7 +231,7 @@ class ChannelAdaptation:
             return state, []
         if watch.evidence > np.log(EVIDENCE_BACK) and watch.squares < watch.against:
             return self.rolled_back(state, stroke, number, "the model before the last promotion is better")
-        if watch.strokes >= 2 * self._settings.patience:
+        if watch.strokes >= 2 * self._settings.patience:  # it has held: the way back is that of a user
             return replace(state, watch=None), []
         return state, []
 
@@ -235,6 +242,7 @@ class ChannelAdaptation:
         strokes = [*(suspect for _, suspect in state.suspects), stroke]
         confirmed = len(strokes) > ALIKE_STROKES or levels_differ(self._errors.channel, strokes)
         for run, trial in enumerate(state.candidates, CANDIDATE_RUN):
+            # A sudden change explains the next stroke as well; a disturbance does not.
             explains = not trial.after_change or abs(fits[run].speed_error) < SUDDEN
             is_better = trial.squares < (1 - settings.improvement) ** 2 * trial.against
             is_proved = is_better and trial.evidence > np.log(settings.evidence)
@@ -261,7 +269,7 @@ class ChannelAdaptation:
             target=trial.changes,
             snapshots=(*state.snapshots, trial.changes)[-MOST_SNAPSHOTS:],
             candidates=(),
-            watch=Trial(state.target),
+            watch=Trial(state.target),  # what was in use until now, which may return
             detector=type(state.detector)(),
         )
         return state, [self._event(PROMOTED, state, stroke, number, reason, trial.changes)]
@@ -293,6 +301,7 @@ class ChannelAdaptation:
             # The oldest stroke leaves the window; its information stays as the arrival cost of the others.
             state = replace(state, window=window[1:], arrival=first)
         state = replace(state, estimate=latest)
+        # Not with every stroke: candidates of nearly the same strokes are nearly the same.
         youngest = min((trial.strokes for trial in state.candidates), default=STROKES_BETWEEN)
         if youngest >= STROKES_BETWEEN and len(state.candidates) < MOST_CANDIDATES:
             state, happened = self._proposed(state, candidate, window, after_change=False)
@@ -306,6 +315,7 @@ class ChannelAdaptation:
             events, state = self._unconfirmed(state, stroke), replace(state, suspects=())
         suspects = (*state.suspects, (number, stroke))[-self._settings.window :]
         state = replace(state, suspects=suspects)
+        # From the mean of before, but free: what was known of the machine may no longer hold.
         arrival = Estimate(state.arrival.mean, self._estimates.wide)
         latest, _ = self._estimates.of_window(state, suspects, arrival)
         state = replace(state, candidates=())
@@ -328,6 +338,7 @@ class ChannelAdaptation:
         if beyond:
             reason = f"the {beyond} would leave its bounds; it is held there"
             events.append(self._event(AT_LIMIT, state, stroke, number, reason, changes))
+        # Else the candidate differs from what is in use by less than strokes differ among themselves.
         away = np.abs(np.subtract(changes, state.target))
         if np.all(away < NEGLIGIBLE * self._bounds.scatter):
             return state, events

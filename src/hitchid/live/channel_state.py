@@ -106,6 +106,7 @@ class Trial(NamedTuple):
     def with_stroke(self, evidence: float, square: float, against: float) -> "Trial":
         """Return the comparison after one more stroke."""
         largest = LARGEST_EVIDENCE_AFTER_CHANGE if self.after_change else LARGEST_EVIDENCE
+        # Bounded, so that no single stroke decides.
         return self._replace(
             evidence=self.evidence + float(np.clip(evidence, -largest, largest)),
             squares=self.squares + square,
@@ -174,20 +175,24 @@ class ChannelEstimates:
         self._noise = float(errors.channel.load_filter.noise)
         command = float(errors.channel.operating_range.command.highest)
         self.wide = np.diag((np.array([1.0, command, 1.0]) * WIDE) ** 2)
+        # An identification that is sure of itself beyond what strokes scatter would never move.
         self.identified = np.diag(np.maximum(identified, 2 * bounds.scatter) ** 2)
 
     def own_changes(self, state: ChannelState, stroke: Stroke) -> list[Changes]:
         """Return changes that fit one stroke: of the gain, and of all parameters it informs about."""
         bounds = self._bounds
+        # As many runs as a stroke is judged by, though one would do: the program is there.
         run = self._errors.runs(stroke, [state.deployed] * self._runs)
         travel = run.displacement[0] - run.displacement[0][0]
         measured = np.where(run.measured, travel + run.errors[0], 0.0)
         factor = measured @ travel / max(float((travel * run.measured) @ travel), np.finfo(float).tiny)
         gain = np.log(np.clip(factor, np.exp(bounds.lowest[GAIN]), np.exp(bounds.highest[GAIN])))
+        # First the gain in closed form, as far off the linearisation would not hold.
         start = Changes(*np.add(state.deployed, [gain, 0.0, 0.0]))
         (fit,) = self._errors.fits([stroke], start)
         fit = fit.over(self.variance(state, fit.travel))
         free, wide = bounds.allowed, np.linalg.inv(self.wide)
+        # With a wide prior: what one stroke does not tell stays near what is in use.
         information = np.where(np.outer(free, free), fit.information, 0.0) + wide
         gradient = np.where(free, fit.gradient, 0.0) - wide @ (fit.at - np.array(state.deployed))
         own = fit.at + np.where(free, np.linalg.solve(information, gradient), 0.0)
@@ -220,7 +225,7 @@ class ChannelEstimates:
         """
         deviations = np.sqrt(np.diag(estimate.covariance))
         known = deviations < LARGEST_DEVIATION * state.scatter * self._bounds.scatter
-        known[GAIN] = True
+        known[GAIN] = True  # it always moves, as it fits best beside the others as promoted
         return conditional_mean(estimate, known & self._bounds.allowed, np.array(state.target))
 
     def cautious(self, state: ChannelState, strokes: Sequence[Numbered], changes: Vector) -> Vector:

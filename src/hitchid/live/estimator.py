@@ -56,13 +56,14 @@ def updated(prior: Estimate, fit: StrokeFit, drift: Matrix) -> Estimate:
     """Return the estimate after one more stroke; its mean is clear of what the stroke does not tell."""
     predicted = prior.covariance + drift
     covariance = predicted @ np.linalg.inv(np.eye(3) + fit.information @ predicted)
-    covariance = 0.5 * (covariance + covariance.T)
+    covariance = 0.5 * (covariance + covariance.T)  # rounding would make it less symmetric with each stroke
     mean = prior.mean + covariance @ (fit.gradient - fit.information @ (prior.mean - fit.at))
     return Estimate(mean, covariance)
 
 
 def restricted(fit: StrokeFit, free: Bool[np.ndarray, "3"], held_at: Vector) -> StrokeFit:
     """Return a fit of which only some parameters are free, the others held at their values."""
+    # To first order the errors at the held values.
     shift = np.where(free, 0.0, held_at - fit.at)
     gradient = fit.gradient - fit.information @ shift
     return fit._replace(
@@ -99,7 +100,7 @@ def window_estimate(
     for _ in range(ITERATIONS):
         estimates = [arrival]
         for fit in fits_at(latest.mean):
-            fit = restricted(fit, allowed, arrival.mean)
+            fit = restricted(fit, allowed, arrival.mean)  # what must not move stays where it came from
             estimates.append(updated(estimates[-1], fit, drift * np.outer(allowed, allowed)))
         latest, first = estimates[-1], estimates[min(1, len(estimates) - 1)]
     return latest, first

@@ -82,7 +82,7 @@ class Event:
         Raises:
             ValueError: the line is no entry.
         """
-        event = _ENTRY.validate_json(line, strict=True)
+        event = _ENTRY.validate_json(line, strict=True)  # strict: "1" is no number in what was written here
         if event.kind not in KINDS:
             raise ValueError(f"kind: expected one of {', '.join(KINDS)}, got {event.kind!r}")
         return event

@@ -54,7 +54,7 @@ class Bounds(NamedTuple):
         with contextlib.suppress(InputError):  # a command that is no current
             dead_zone = min(dead_zone, MOST_DEAD_ZONE_A * conversion_factor("A", command_unit, "dead_zone"))
         lowest = np.array([np.log1p(-settings.largest_gain), -dead_zone, -LARGEST_LAG])
-        lowest[DEAD_ZONE] = max(lowest[DEAD_ZONE], -channel.dead_zone)
+        lowest[DEAD_ZONE] = max(lowest[DEAD_ZONE], -channel.dead_zone)  # a dead zone is not negative
         step = settings.change_per_stroke
         return cls(
             allowed,
@@ -78,7 +78,7 @@ class Bounds(NamedTuple):
         """Return the changes in use one step nearer to others; these themselves where they are that near."""
         way = np.subtract(target, deployed)
         if np.all(np.abs(way) <= self.step):
-            return target
+            return target  # itself, bit for bit: only then are both alike
         return Changes(*map(float, np.add(deployed, np.clip(way, -self.step, self.step))))
 
 
@@ -121,12 +121,13 @@ class Gate:
         """Return why a stroke cannot be judged, from its samples alone; empty where it can."""
         measured = np.isfinite(stroke.displacement)
         missing = 1 - measured.mean()
-        if missing > LARGEST_MISSING:
+        if missing > LARGEST_MISSING:  # first: what follows needs samples
             return f"{100 * missing:.0f} % of the displacement is missing"
         rest = stroke.displacement[: stroke.rest][measured[: stroke.rest]]
         noise = max(float(self.channel.load_filter.noise), np.finfo(float).tiny)
         if len(rest) < max(2, round(LEAST_REST_S / self.step_s)):
             return "it does not start at rest"
+        # Its halves by their means: a drift shows, the noise of single samples does not.
         half = len(rest) // 2
         moved = abs(rest[half:].mean() - rest[:half].mean())
         if moved > max(NOISE_LIMIT * noise / np.sqrt(half), self.least_rest):
@@ -171,6 +172,7 @@ class Gate:
         steps, expected = np.diff(measured), np.diff(simulated)
         if (measured[-1] - measured[0]) * (simulated[-1] - simulated[0]) <= 0:
             return "it moves against its command"
+        # Of its fastest motion and the noise of two samples: whatever moves so fast within one is the sensor.
         limit = SPEED_LIMIT * np.abs(expected).max() + NOISE_LIMIT * np.sqrt(2) * noise
         if np.abs(steps - expected).max() > limit:
             return f"the displacement jumps by {np.abs(steps - expected).max():.3g} within a sample"
@@ -181,6 +183,7 @@ class Gate:
         if np.any((modelled > 2 * NOISE_LIMIT * noise) & (seen < STANDSTILL_SHARE * modelled)):
             return "the displacement stands still while the model moves"
         left = runs.share_left(own)
+        # Over what is usual here, so that a coarse model does not have all of its strokes refused.
         limit = min(MISFIT_FACTOR * usual, LARGEST_MISFIT)
         if left > np.hypot(limit, 2 * noise / max(float(np.ptp(simulated)), noise)):
             return f"{100 * left:.2g} % of the travel are left as error after gain and dead zone are fitted"
@@ -227,7 +230,7 @@ class Standstill(NamedTuple):
     def fault(self, model: Hitch) -> str:
         """Return why the displacement is not that of a held piston, which drifts; empty where it is."""
         largest = LARGEST_AT_REST * _range_of_tests(model) * (1 + LARGEST_CREEP * self.seconds)
-        moved = self.change_at_end - model.drift * self.seconds
+        moved = self.change_at_end - model.drift * self.seconds  # creep that was identified is no fault
         reason = f"the displacement changed by {moved:+.3g} at rest: sensor or implement"
         return reason if abs(moved) > largest else ""
 
@@ -236,6 +239,7 @@ def rested_at(stroke: Stroke, step_s: float) -> float:
     """Return where the piston is at rest after a stroke; NaN where that is not in it."""
     rested = stroke.displacement[-_samples(step_s) :]
     rested = rested[np.isfinite(rested)]
+    # Of a stroke that was cut at its longest, the last samples are not those at rest.
     if not rested.size or len(stroke.displacement) >= round(LONGEST_S / step_s):
         return math.nan
     return float(np.median(rested))
@@ -256,7 +260,7 @@ def standstill_before(model: Hitch, stroke: Stroke, ended_at: int, rested: float
     deviation = np.hypot(noise * np.sqrt(np.pi / samples), REST_SHARE * _range_of_tests(model))
     return Standstill(
         max(stroke.begin - ended_at, 0) * model.step_s,
-        float(np.median(before[-samples:])) - rested,
+        float(np.median(before[-samples:])) - rested,  # one wrong sample is no leak
         float(before[-1]) - rested,
         float(deviation),
     )

@@ -18,21 +18,6 @@ from hitchid.model import Hitch, Load, Packed
 
 # Flags for inputs outside the ranges of the identification tests, sample by sample.
 
-Range = tuple[float, float]
-
-
-class _Covered(NamedTuple):
-    """Dead zone, and lowest and highest effective command and displacement, of the tests of a direction.
-
-    Attributes:
-        texts: `command` and `displacement` to their ranges as text.
-    """
-
-    dead_zone: float
-    command: Range
-    displacement: Range
-    texts: Mapping[str, str]
-
 
 class RangeCheck:
     """Compares commands and displacement with those of the identification tests.
@@ -41,20 +26,17 @@ class RangeCheck:
     """
 
     def __init__(self, model: Hitch) -> None:
-        self._covered = {}
+        self._commands: list[tuple[str, float, float, float, str]] = []
+        self._displacements: list[tuple[float, float, str]] = []
         for direction, channel in model.channels.items():
-            covered = channel.operating_range
-            command, displacement = (
-                (float(signal.lowest), float(signal.highest))
-                for signal in (covered.command, covered.displacement)
-            )
+            covered, role = channel.operating_range, COMMAND[direction]
+            lowest, highest = float(covered.command.lowest), float(covered.command.highest)
             # As the command that it is said of, not beyond the dead zone as it is kept.
-            ends = " to ".join(f"{channel.dead_zone + end:.4g}" for end in command)
-            texts = {
-                "command": f"{ends} {model.units.get(COMMAND[direction], '')}",
-                DISPLACEMENT: model.describe_range(direction, DISPLACEMENT),
-            }
-            self._covered[direction] = _Covered(channel.dead_zone, command, displacement, texts)
+            ends = " to ".join(f"{channel.dead_zone + end:.4g}" for end in (lowest, highest))
+            text = f"{ends} {model.units.get(role, '')}"
+            self._commands.append((role, channel.dead_zone, lowest, highest, text))
+            low, high = float(covered.displacement.lowest), float(covered.displacement.highest)
+            self._displacements.append((low, high, model.describe_range(direction, DISPLACEMENT)))
 
     def flags(self, sample: Mapping[str, float], mode: int) -> list[str]:
         """Return a sentence for each command outside its range, and for a displacement outside all of them.
@@ -62,16 +44,14 @@ class RangeCheck:
         The mode is the index of the active channel; −1 before any was active.
         """
         outside = []
-        for direction, covered in self._covered.items():
-            effective = max(abs(sample.get(COMMAND[direction], 0.0)) - covered.dead_zone, 0.0)
-            lowest, highest = covered.command
+        for role, dead_zone, lowest, highest, text in self._commands:
+            effective = max(abs(sample.get(role, 0.0)) - dead_zone, 0.0)
             if effective > highest or 0 < effective < lowest:
-                outside.append((COMMAND[direction], covered.texts["command"]))
+                outside.append((role, text))
         measured = sample.get(DISPLACEMENT, math.nan)
-        directions = tuple(self._covered) if mode < 0 else tuple(self._covered)[mode : mode + 1]
-        ranges = [self._covered[direction].displacement for direction in directions]
-        if math.isfinite(measured) and not any(low <= measured <= high for low, high in ranges):
-            outside.append((DISPLACEMENT, self._covered[directions[0]].texts[DISPLACEMENT]))
+        ranges = self._displacements if mode < 0 else self._displacements[mode : mode + 1]
+        if math.isfinite(measured) and not any(low <= measured <= high for low, high, _ in ranges):
+            outside.append((DISPLACEMENT, ranges[0][2]))
         return [f"outside: {role} {sample[role]:g}; the identified range is {text}" for role, text in outside]
 
 
@@ -169,6 +149,7 @@ class Live:
         self._doubted: list[Sample] = []  # the same where the next sample may take them back
         self._learned: list[str] = []
         self._range_check = RangeCheck(model)
+        # Compiles both, which the first sample should not wait for.
         state, _ = self._stepped.step(self._init_state(0.0), np.zeros(len(DIRECTIONS)), math.nan)
         self._mode = model.switching(state).mode
 
@@ -195,7 +176,7 @@ class Live:
             return self._output([*flags, f"{doubt}: {stamp:.12g} s follows {before_s:.12g} s"])
         skipped, replaced = [], {}
         if offset > 0:
-            if stamp - before_s > usual_s:
+            if stamp - before_s > usual_s:  # a stream slower than the model leaves steps out by its nature
                 flags.append(f"late: {offset} samples are missing before {time_s:.12g} s")
             skipped = self._fill_gap(offset, sample)
         elif offset < 0 and (doubtful or -offset > len(self._history)):
@@ -211,14 +192,14 @@ class Live:
                 f"early: the samples at {replaced[TIME]:.12g} s and {time_s:.12g} s are in the same "
                 f"sampling step; the sample at {time_s:.12g} s is used"
             )
-        merged = {**replaced, **sample}
+        merged = {**replaced, **sample}  # what the later sample lacks, the one in its place had
         self._step(merged)
         self._unlearned += self._doubted
         self._doubted = [*skipped, merged] if not replaced else []
         if stamped:
             self._latest_s = stamp
             self._unused_s.clear()
-        if offset <= 0 or doubtful:
+        if offset <= 0 or doubtful:  # a gap before it is what the next sample may take back
             self._settle()
         flags += self._learned
         self._learned = []
@@ -235,7 +216,7 @@ class Live:
             commands = np.array([[sample.get(COMMAND[direction], math.nan) for direction in DIRECTIONS]])
             events = self._adaptation.feed(commands, np.array([sample.get(DISPLACEMENT, math.nan)]))
             numbers = self._adaptation.numbers
-            if numbers is not self._numbers:
+            if numbers is not self._numbers:  # the same object where nothing changed: no comparison a sample
                 self._numbers = numbers
                 if self._state is not None:
                     self._state = self._with_numbers(self._state)
@@ -276,7 +257,7 @@ class Live:
         In a stream that is as slow, far ahead is usual.
         """
         if offset >= 0:
-            since_s = stamp - max((each for each in self._heard_s if each < stamp), default=-math.inf)
+            since_s = stamp - max((own for own in self._heard_s if own < stamp), default=-math.inf)
             return offset > self._most_taken_back and not KEPT_S < since_s <= usual_s
         return stamp <= self._settled_s or stamp == self._latest_s
 
@@ -322,13 +303,13 @@ class Live:
         for _ in range(min(samples, len(self._history))):
             self._state, sample = self._history.pop()
         self._steps -= samples
-        if self._state is not None:
+        if self._state is not None:  # one of before a promotion has the numbers of then
             self._state = self._with_numbers(self._state)
         return sample
 
     def _step(self, sample: Sample) -> None:
         measured = sample.get(DISPLACEMENT, math.nan)
-        self._history.append((self._state, sample))
+        self._history.append((self._state, sample))  # the state before it, to which a step is taken back
         self._steps += 1
         if self._state is None and math.isfinite(measured):
             self._state = self._init_state(measured)
@@ -378,21 +359,18 @@ def _parse(line: str) -> tuple[dict[str, float] | None, list[str]]:
         return None, ["not understood: the line is not JSON"]
     if not isinstance(content, dict):
         return None, ['not understood: expected an object like {"time_s": 0.01, "lifting_command": 0.5}']
+    # Names of a stream may be of any length and number: a flag stays a line.
     unknown = ", ".join(f"'{name:.{MAX_SHOWN}}'" for name in content if name not in FIELDS)
     flags = [f"not known: {unknown:.{MAX_SHOWN}}; expected one of {', '.join(FIELDS)}"] if unknown else []
     sample = {}
     for name in FIELDS:
         value = content.get(name)
         if isinstance(value, int | float) and not isinstance(value, bool):
-            number = _finite(value)
+            try:
+                number = float(value)
+            except OverflowError:  # JSON has integers of any length
+                number = math.inf
             sample[name] = number if name == TIME or abs(number) < MAX_MAGNITUDE else math.nan
         elif value is not None:
             flags.append(f"not a number: {name}")
     return sample, flags
-
-
-def _finite(value: int | float) -> float:
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf

@@ -79,9 +79,8 @@ class Monitor:
     @double_precision
     def restart(self, displacement: float) -> None:
         """Start the free run anew at a displacement at rest, in the model's unit."""
-        start = jnp.asarray(
-            checks.number(displacement, "displacement"), float
-        )  # not weakly typed: one compilation
+        # Not weakly typed: one compilation.
+        start = jnp.asarray(checks.number(displacement, "displacement"), float)
         self._state = self._dynamics.init_state(start, self._load)
         self._runs = [_started(stacked, start, self._load) for _, stacked in self._groups]
 
@@ -131,7 +130,7 @@ class Monitor:
             self._dynamics, self._state, jnp.asarray(commands), jnp.asarray(measured), self.horizon
         )
         half_width, ahead_half_width = np.full(self.block, np.nan), np.nan
-        if self._bands:
+        if self._bands:  # of the ensemble's runs about that of the model, the first row
             half_width = ensemble_half_width(self._members, self._bands, rows[1:] - rows[0], self._coverage)
             valid = measured[np.isfinite(measured)]
             if valid.size:
@@ -142,6 +141,7 @@ class Monitor:
 
 def _grouped(dynamics: Sequence[HitchDynamics]) -> list[tuple[list[int], HitchDynamics]]:
     """Return the hitches stacked in groups of one structure, with their numbers."""
+    # One call a group instead of one a hitch; a hitch with other networks is another program.
     groups: dict[object, list[int]] = {}
     for number, own in enumerate(dynamics):
         groups.setdefault(jax.tree.structure(own), []).append(number)

@@ -58,6 +58,7 @@ class AdjustableHitch:
     def __init__(self, model: Hitch) -> None:
         self._dynamics = model.dynamics
         self._directions = tuple(model.channels)
+        # Shapes alone: the state itself is made by the model.
         self._packing = Packing(jax.eval_shape(self._dynamics.standing_state))
         self._step = self._packing.adjustable_step(self._dynamics)
         self._adjusted_state = jax.jit(self._at_load)
@@ -135,6 +136,7 @@ def changed_benchmark(benchmark: PhysicalModel, changes: Float[Array, "3"]) -> P
     changed = eqx.tree_at(lambda tree: tree.values, benchmark, values)
     if lag is not None or benchmark.nonlinearity is None:
         return changed
+    # A structure without a lag of its own has that of its spool, where there is one.
     curves = benchmark.nonlinearity.values.at[SPOOL_LAG].multiply(jnp.exp(changes[LAG]))
     return eqx.tree_at(lambda tree: tree.nonlinearity.values, changed, curves)
 
@@ -167,7 +169,7 @@ def changed_model(
     for direction, change in changes.items():
         factor = factors.get(direction, 1.0)
         if change == Changes() and factor == 1.0:
-            continue
+            continue  # that direction stays the same object, with all that is known of it
         channel = model.channels[direction]
         benchmark = changed_benchmark(channel.benchmark, jnp.asarray(change, float))
         dead_zone = channel.dead_zone + change.dead_zone
@@ -181,6 +183,7 @@ def changed_model(
         channels=channels,
         uncertainty=uncertainty,
         rivals=rivals,
+        # Without a digest: it is not the model of the file any more.
         provenance=replace(model.provenance, adapted=adapted, digest=""),
     )
 

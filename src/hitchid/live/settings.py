@@ -60,7 +60,7 @@ def alarm_threshold(strokes_between_alarms: float) -> float:
     over all streams, of a direction, and at most `MOST_STROKES_BETWEEN`.
     """
     freedom = DEGREES_OF_FREEDOM
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(0)  # one threshold for all machines and runs
     scale = np.sqrt(rng.chisquare(freedom, REPLICATES) / freedom)
     mean = rng.standard_normal(REPLICATES) / np.sqrt(freedom + 1)
     faster, slower = np.zeros((2, THRESHOLDS.size, REPLICATES))
@@ -71,7 +71,7 @@ def alarm_threshold(strokes_between_alarms: float) -> float:
         slower = np.maximum(0.0, slower - error - REFERENCE)
         alarm = np.maximum(faster, slower) > THRESHOLDS[:, None]
         alarms += alarm.sum(axis=1)
-        faster[alarm], slower[alarm] = 0.0, 0.0
+        faster[alarm], slower[alarm] = 0.0, 0.0  # as a channel's detector begins anew after an alarm
     between = REPLICATES * STROKES / np.maximum(alarms, 1.0)
     return float(THRESHOLDS[np.flatnonzero(between >= strokes_between_alarms)[0]])
 

@@ -86,6 +86,15 @@ class StrokeErrors:
         self._factor = max(1, -(-round(LONGEST_S / step_s) // SAMPLES))
         self._step_s = self._factor * step_s
         self._column = DIRECTIONS.index(channel.direction)
+        covered = channel.operating_range.displacement
+        # Where strokes that fill up a window stand still: a displacement of the tests.
+        self._still = float(np.clip(0.0, covered.lowest, covered.highest))
+        # The stop ahead: that of the identification, else one that logs reached; a limit alone ends nothing.
+        self._stop, limits = channel.end_stop, channel.limits
+        if self._stop is None and limits is not None:
+            upper, lower = (limits.upper, limits.upper_stop), (limits.lower, limits.lower_stop)
+            end, is_stop = upper if channel.sign > 0 else lower
+            self._stop = end if is_stop else None
         self._bands = bands
         self._members = None
         if bands is not None:  # the perturbed channels as one, whose arrays have them along the first axis
@@ -94,14 +103,23 @@ class StrokeErrors:
 
     def batch(self, strokes: Sequence[Stroke]) -> Batch:
         """Return strokes as a batch of as many tests as `window`; those that are missing have no weight."""
-        rows = [self._on_clock(stroke) for stroke in strokes]
-        rows += [self._empty()] * (self._window - len(rows))
-        command, displacement, measured, valid = map(np.stack, zip(*(row[:4] for row in rows), strict=True))
-        initial = np.array([row[4] for row in rows])
-        dead_zone = np.full(len(rows), self.channel.dead_zone)
+        tests = max(self._window, len(strokes))
+        shape = tests, SAMPLES  # as a rule the same, so that one program fits all windows
+        initial = np.full(tests, self._still)
+        command, displacement = np.zeros(shape), np.full(shape, self._still)
+        measured, valid = np.zeros(shape, bool), np.zeros(shape, bool)
+        for row, stroke in enumerate(strokes):
+            own_command, own_displacement, own_measured = self._on_clock(stroke)
+            used = len(own_command)
+            initial[row] = float(np.nanmean(stroke.displacement[: stroke.rest + 1]))
+            displacement[row] = initial[row]
+            command[row, :used], measured[row, :used], valid[row, :used] = own_command, own_measured, True
+            # A gap has a number as well: one that is none would spoil the sums, though it has no weight.
+            displacement[row, :used] = np.where(own_measured, own_displacement, initial[row])
+        dead_zone = np.full(tests, self.channel.dead_zone)
         excess = np.maximum(np.abs(command) - dead_zone[:, None], 0.0)
         arrays = (np.sign(command) * excess, command, dead_zone, displacement, valid, measured, initial)
-        loads = np.broadcast_to(self._load, (len(rows), len(self._load)))
+        loads = np.broadcast_to(self._load, (tests, len(self._load)))
         return Batch(
             *(jnp.asarray(array) for array in arrays),
             covariates=jnp.asarray(loads),
@@ -113,8 +131,7 @@ class StrokeErrors:
     @double_precision
     def prepare(self, runs: int, coverage: float) -> None:
         """Compile all of this for a number of free runs, with a stroke in which nothing moves."""
-        rest = np.full(2, self._empty()[4])
-        stroke = Stroke(self.channel.direction, 1, 1, np.zeros((2, 2)), rest)
+        stroke = Stroke(self.channel.direction, 1, 1, np.zeros((2, 2)), np.full(2, self._still))
         self.fits([stroke], Changes())
         self.runs(stroke, [Changes()] * runs)
         self.half_width(stroke, Changes(), coverage)
@@ -151,37 +168,24 @@ class StrokeErrors:
         spread = np.sqrt(np.sum((weights[:, None] * deviations) ** 2, axis=0))
         floor = float(ndtri(0.5 + coverage / 2)) * self._bands.noise
         multiplier = self._bands.multiplier(coverage)
+        # The noise of the sensor stays as it is; only what the ensemble spreads is made wider.
         return lambda factor: np.hypot(floor, factor * multiplier * spread)
 
-    def _on_clock(self, stroke: Stroke) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-        """Return command, displacement, which of it is measured, which samples exist, and the initial one."""
+    def _on_clock(self, stroke: Stroke) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return command, displacement, and which of it is measured, before padding."""
         command = np.nan_to_num(stroke.commands[:, self._column])
         kept = command[: SAMPLES * self._factor]
         blocks = -(-len(kept) // self._factor)
+        # The mean, not every second command: the travel is that of all of them.
         whole = np.pad(kept, (0, blocks * self._factor - len(kept)), mode="edge")
         mean = whole.reshape(blocks, -1).mean(axis=1)
         displacement = stroke.displacement[: len(kept) : self._factor]
         measured = np.isfinite(displacement)
-        stop = _stop_ahead(self.channel)
-        if stop is not None:  # from which on the model says nothing of the speed
+        if self._stop is not None:  # from which on the model says nothing of the speed
             margin = STOP_SHARE * range_of_tests(self.channel)
-            reached = np.nan_to_num(self.channel.sign * (stop - displacement), nan=np.inf) <= margin
+            reached = np.nan_to_num(self.channel.sign * (self._stop - displacement), nan=np.inf) <= margin
             measured &= ~np.maximum.accumulate(reached)
-        initial = float(np.nanmean(stroke.displacement[: stroke.rest + 1]))
-        padding = (0, SAMPLES - blocks)
-        return (
-            np.pad(mean, padding),
-            np.pad(np.where(measured, displacement, initial), padding, constant_values=initial),
-            np.pad(measured, padding),
-            np.pad(np.ones(blocks, bool), padding),
-            initial,
-        )
-
-    def _empty(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-        none = np.zeros(SAMPLES, bool)
-        covered = self.channel.operating_range.displacement
-        initial = float(np.clip(0.0, covered.lowest, covered.highest))
-        return np.zeros(SAMPLES), np.full(SAMPLES, initial), none, none, initial
+        return mean, displacement, measured
 
 
 @short_repr
@@ -224,16 +228,6 @@ class StrokeRuns(NamedTuple):
         return StrokeFit(self.changes[number], squares, gradient, self.information, travel)
 
 
-def _stop_ahead(channel: Channel) -> float | None:
-    """Return the end stop towards which a channel moves; None where none was met."""
-    limits = channel.limits
-    if channel.end_stop is not None or limits is None:
-        return channel.end_stop
-    if channel.sign > 0:
-        return limits.upper if limits.upper_stop else None
-    return limits.lower if limits.lower_stop else None
-
-
 def _simulated(channel: Channel, batch: Batch, changes: Float[Array, "3"]) -> Float[Array, "t n"]:
     """Return the free run at changes of the parameters, shape [T, N]."""
     benchmark = changed_benchmark(channel.benchmark, changes)
@@ -263,6 +257,7 @@ def _runs(channel: Channel, batch: Batch, changes: Float[Array, "m 3"]) -> tuple
     """Return displacements, errors, squares, gradients, curvature and mask; see `StrokeRuns`."""
     simulate = partial(_simulated, channel, batch)
     simulated, mask = jax.vmap(simulate)(changes)[:, 0], batch.loss_mask[0]
+    # Of the first changes alone: errors are almost linear in them.
     slopes = jnp.where(mask[:, None], jax.jacfwd(simulate)(changes[0])[0], 0.0)
     errors = jnp.where(mask, batch.displacement[0] - simulated, 0.0)
     weight = PIECES / jnp.maximum(jnp.sum(mask), 1)

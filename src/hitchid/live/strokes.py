@@ -74,6 +74,7 @@ class StrokeCutter:
         """
         active = self._active(commands)
         rows = np.concatenate([commands, displacement[:, None]], axis=1)
+        # Piece by piece of one active command, so that where a block begins makes no difference.
         edges = [0, *(np.flatnonzero(active[1:] != active[:-1]) + 1).tolist(), len(active)]
         ended = []
         for start, stop in pairwise(edges):
@@ -121,6 +122,7 @@ class StrokeCutter:
     def _append(self, rows: np.ndarray) -> None:
         """Take samples of the stroke; those beyond the longest stroke are left out."""
         self._samples += len(rows)
+        # Counted, but not kept: numbers of later samples stay those of the log.
         kept = rows[: max(self._longest - self._kept, 0)]
         if len(kept):
             self._rows.append(kept)
@@ -130,6 +132,7 @@ class StrokeCutter:
         """Return the stroke that ends; its last samples are the rest before the next one."""
         rows = np.concatenate(self._rows)
         direction = "" if self._direction == BOTH else DIRECTIONS[self._direction]
+        # A stroke that was cut has lost the samples after it: what it ends with is motion, not rest.
         settled = min(self._inactive, REST_SAMPLES) if self._kept < self._longest else 0
         self._rows = [rows[len(rows) - settled :]]
         self._direction = NONE

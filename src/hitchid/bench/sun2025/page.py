@@ -101,6 +101,18 @@ PAPER_COEFFICIENTS = {
     LIFTING: {"alpha1": 6.625, "beta1": 0.001, "beta2": 0.065, "beta3": 0.318},
     LOWERING: {"alpha2": 654.473, "beta4": 42.808},
 }
+ALPHA1, BETA1, BETA2, BETA3 = PAPER_COEFFICIENTS[LIFTING].values()
+ALPHA2, BETA4 = PAPER_COEFFICIENTS[LOWERING].values()
+FREQUENCY = float(np.sqrt(BETA3 / BETA1))
+# Our parameters of the same transfer functions, with their units.
+PAPER_PARAMETERS = {
+    LIFTING: {
+        "gain": (ALPHA1 / BETA3, "mm/(s·A)"),
+        "natural_frequency": (FREQUENCY, "rad/s"),
+        "damping_ratio": (BETA2 / BETA3 * FREQUENCY / 2, "1"),
+    },
+    LOWERING: {"gain": (ALPHA2 / BETA4, "mm/(s·A)"), "time_constant": (BETA4, "s")},
+}
 PAPER_TEST = {
     LIFTING: {
         "transfer_function": ErrorSummary(rmse=0.79, mae=0.59, r2=0.9881, within_1=0.79, mean=0.42, std=0.66),
@@ -170,12 +182,12 @@ def _parameters(traces: Traces) -> Table:
     for direction, trace in traces.items():
         for estimate in trace.phase1.parameter_estimates:
             value = numbers.with_unit(_value_or_interval(estimate), estimate.unit)
-            rows.append(
-                (_label(direction, estimate), value, _equivalent(direction, estimate.name), estimate.verdict)
-            )
+            published = PAPER_PARAMETERS[direction].get(estimate.name)
+            theirs = numbers.with_unit(f"{published[0]:.4g}", published[1]) if published else ""
+            rows.append((_label(direction, estimate), value, theirs, estimate.verdict))
         for name, (value, unit) in _coefficients(direction, trace).items():
-            published = f"{PAPER_COEFFICIENTS[direction][name]:.4g}"
-            rows.append((f"{direction}: {name}", numbers.with_unit(value, unit), published, ""))
+            theirs = f"{PAPER_COEFFICIENTS[direction][name]:.4g}"
+            rows.append((f"{direction}: {name}", numbers.with_unit(value, unit), theirs, ""))
     header = ("parameter", "here", "paper", "verdict")
     return Table("Table 2. Parameters of the transfer functions", header, tuple(rows))
 
@@ -186,34 +198,16 @@ def _coefficients(direction: str, trace: ChannelTrace) -> dict[str, tuple[str, s
     if direction == LOWERING:
         shown, fixed = {"alpha2": quantities["alpha2 = K"], "beta4": quantities["beta4 = tau"]}, {}
     else:
-        beta3, names = PAPER_COEFFICIENTS[LIFTING]["beta3"], ("alpha1", "beta1", "beta2")
-        shown = {name: quantities[f"{name} (beta3 = 1)"].scaled(beta3) for name in names}
-        fixed = {"beta3": (f"{beta3:.4g}", "as the paper has it")}
+        # Only ratios are determined: at the paper's β₃ the others can be set beside the paper's.
+        names = ("alpha1", "beta1", "beta2")
+        shown = {name: quantities[f"{name} (beta3 = 1)"].scaled(BETA3) for name in names}
+        fixed = {"beta3": (f"{BETA3:.4g}", "as the paper has it")}
     return {name: (_value_or_interval(own), own.unit) for name, own in shown.items()} | fixed
 
 
 def _value_or_interval(estimate: Estimate | Quantity) -> str:
     """Return a value, or the interval if it is not determined."""
     return f"{estimate.value:.4g}" if estimate.determined else numbers.interval(estimate.interval)
-
-
-def _equivalent(direction: str, name: str) -> str:
-    """Return the paper's value of one of our parameters, from its α and β."""
-    if direction == LIFTING:
-        c = PAPER_COEFFICIENTS[LIFTING]
-        omega = float(np.sqrt(c["beta3"] / c["beta1"]))
-        values = {
-            "gain": (c["alpha1"] / c["beta3"], "mm/(s·A)"),
-            "natural_frequency": (omega, "rad/s"),
-            "damping_ratio": (c["beta2"] / c["beta3"] * omega / 2, "1"),
-        }
-    else:
-        c = PAPER_COEFFICIENTS[LOWERING]
-        values = {"gain": (c["alpha2"] / c["beta4"], "mm/(s·A)"), "time_constant": (c["beta4"], "s")}
-    if name not in values:
-        return ""
-    value, unit = values[name]
-    return numbers.with_unit(f"{value:.4g}", unit)
 
 
 def _test_set(direction: str, result: DirectionResult, unit: str) -> Table:
@@ -223,6 +217,7 @@ def _test_set(direction: str, result: DirectionResult, unit: str) -> Table:
         rows.append((f"{label}, here", *_row(ours)))
         if theirs is not None:
             rows.append((f"{label}, paper", *_row(theirs)))
+    # What one step ahead is worth: the error of saying that the piston stays where it was measured.
     persistence = np.concatenate([np.diff(actual) for actual in result.test.actual])
     rows.append(
         (

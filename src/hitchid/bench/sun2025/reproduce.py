@@ -9,7 +9,7 @@ from hitchid._support.files import write_files, write_folder
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent, subtask_progress
 from hitchid._support.records import short_repr
 from hitchid.bench.sun2025.page import study_report, study_tables, study_tables_document
-from hitchid.bench.sun2025.results import DirectionResult, Subsets, direction_result, mechanistic
+from hitchid.bench.sun2025.results import DirectionResult, direction_result, mechanistic
 from hitchid.bench.virtual_campaign import REPEATS, Protocol, write_campaign
 from hitchid.estimation import WhaleConfig
 from hitchid.identification import (
@@ -26,7 +26,6 @@ from hitchid.identification import (
     identify,
 )
 from hitchid.logs import LIFTING, LOWERING, read
-from hitchid.model import TracedSearch
 from hitchid.report import (
     FIGURE_SAMPLES,
     FIGURES,
@@ -45,11 +44,8 @@ LOGS, MODEL, PAPER_MODEL, DATA = "logs", "model", "paper-model", "data"
 STUDY_FILE = "study.md"
 
 
-# Numbers of the figures in the paper, by direction.
-CONVERGENCE = {LIFTING: 5, LOWERING: 6}
-PREDICTED = {LIFTING: 7, LOWERING: 8}
-DISTRIBUTION = {LIFTING: 9, LOWERING: 10}
-TEST = {LIFTING: 11, LOWERING: 12}
+# Numbers of the figures in the paper: convergence, predicted errors, their distribution, test set.
+NUMBERS = {LIFTING: (5, 7, 9, 11), LOWERING: (6, 8, 10, 12)}
 PAPER, DEFAULT = "the paper's method", "hitchid's default"
 MODELS = ("mechanistic", "transfer_function", "paper_one_step", "paper", "one_step", "free_run")
 DRAWN = ("transfer_function", "paper", "free_run", "one_step")
@@ -66,95 +62,72 @@ def paper_figures(
     direction: str, default: ChannelTraceFile, paper: ChannelTraceFile, result: DirectionResult, unit: str
 ) -> list[PaperFigure]:
     """Return the four figures of one direction in the paper, each for both methods."""
-    return [
-        _convergence(direction, {PAPER: paper.phase1, DEFAULT: default.phase1}, unit),
-        _predicted_errors(direction, {PAPER: result.paper, DEFAULT: result.default}, unit),
-        _error_distribution(direction, result, unit),
-        _test_set(direction, result.test, unit),
+    convergence, predicted, distribution, test_set = NUMBERS[direction]
+    methods = ((PAPER, "", paper, result.paper), (DEFAULT, "-default", default, result.default))
+    searches = [
+        figures.convergence(
+            f"figure-{convergence:02d}{suffix}",
+            trace.phase1,
+            unit,
+            f"Figure {convergence} of the paper: convergence of fitness and of each parameter, {direction}, "
+            f"{method}.",
+            f"Best RMSE and {', '.join(parameter.name for parameter in trace.phase1.parameters)} over the "
+            "iterations of the global search.",
+        )
+        for method, suffix, trace, _ in methods
     ]
-
-
-def _convergence(direction: str, searches: Mapping[str, TracedSearch], unit: str) -> PaperFigure:
-    number = CONVERGENCE[direction]
-    pictures = []
-    for method, search in searches.items():
-        names = [parameter.name for parameter in search.parameters]
-        pictures.append(
-            figures.convergence(
-                _name(number, method),
-                search,
-                unit,
-                f"Figure {number} of the paper: convergence of fitness and of each parameter, {direction}, "
-                f"{method}.",
-                f"Best RMSE and {', '.join(names)} over the iterations of the global search.",
-            )
+    errors = [
+        figures.predicted_errors(
+            f"figure-{predicted:02d}{suffix}",
+            {"training": subsets.training, "validation": subsets.validation},
+            unit,
+            f"Figure {predicted} of the paper: error of the physics model, actual and predicted one step "
+            f"ahead, on training and validation tests, {direction}, {method}.",
+            f"Actual and predicted error in {unit} over {FIGURE_SAMPLES} samples.",
         )
-    return PaperFigure(number, tuple(pictures))
-
-
-def _predicted_errors(direction: str, results: Mapping[str, Subsets], unit: str) -> PaperFigure:
-    number = PREDICTED[direction]
-    pictures = []
-    for method, result in results.items():
-        subsets = {"training": result.training, "validation": result.validation}
-        pictures.append(
-            figures.predicted_errors(
-                _name(number, method),
-                subsets,
-                unit,
-                f"Figure {number} of the paper: error of the physics model, actual and predicted one step "
-                f"ahead, on training and validation tests, {direction}, {method}.",
-                f"Actual and predicted error in {unit} over {FIGURE_SAMPLES} samples.",
-            )
-        )
-    return PaperFigure(number, tuple(pictures))
-
-
-def _error_distribution(direction: str, result: DirectionResult, unit: str) -> PaperFigure:
-    rows = {
+        for method, suffix, _, subsets in methods
+    ]
+    one_step = {
         f"{subset}, {method}": getattr(subsets, subset).errors("one_step")
         for method, subsets in (("paper", result.paper), ("default", result.default))
         for subset in ("training", "validation")
     }
-    number = DISTRIBUTION[direction]
-    picture = figures.error_distribution(
-        _name(number),
-        rows,
+    spread = figures.error_distribution(
+        f"figure-{distribution:02d}",
+        one_step,
         unit,
-        f"Figure {number} of the paper: one-step errors of both methods on training and validation tests, "
-        f"histogram with fitted normal and cumulative distribution, {direction}.",
+        f"Figure {distribution} of the paper: one-step errors of both methods on training and validation "
+        f"tests, histogram with fitted normal and cumulative distribution, {direction}.",
         f"Distribution of one-step errors in {unit}.",
     )
-    return PaperFigure(number, (picture,))
+    return [
+        PaperFigure(convergence, tuple(searches)),
+        PaperFigure(predicted, tuple(errors)),
+        PaperFigure(distribution, (spread,)),
+        PaperFigure(test_set, _test_set(test_set, direction, result.test, unit)),
+    ]
 
 
-def _test_set(direction: str, test: Predictions, unit: str) -> PaperFigure:
-    number = TEST[direction]
-    errors = {model: test.errors(model) for model in DRAWN}
-    pictures = (
-        figures.outputs(
-            _name(number),
-            test,
-            unit,
-            DRAWN,
-            f"Figure {number} of the paper, upper half: outputs and errors on the test set, {direction}.",
-            f"Displacement and error over time on {len(test.names)} unseen tests.",
-            recorded=MODELS,
-        ),
-        figures.error_distribution(
-            f"{_name(number)}-errors",
-            errors,
-            unit,
-            f"Figure {number} of the paper, lower half: histogram and cumulative distribution of the errors "
-            f"on the test set, {direction}.",
-            f"Distribution of the errors in {unit} on {len(test.names)} unseen tests.",
-        ),
+def _test_set(number: int, direction: str, test: Predictions, unit: str) -> tuple[Picture, ...]:
+    """Return both halves of the figure of the test set."""
+    outputs = figures.outputs(
+        f"figure-{number:02d}",
+        test,
+        unit,
+        DRAWN,
+        f"Figure {number} of the paper, upper half: outputs and errors on the test set, {direction}.",
+        f"Displacement and error over time on {len(test.names)} unseen tests.",
+        recorded=MODELS,
     )
-    return PaperFigure(number, pictures)
-
-
-def _name(number: int, method: str = PAPER) -> str:
-    return f"figure-{number:02d}" + ("-default" if method == DEFAULT else "")
+    errors = figures.error_distribution(
+        f"figure-{number:02d}-errors",
+        {model: test.errors(model) for model in DRAWN},
+        unit,
+        f"Figure {number} of the paper, lower half: histogram and cumulative distribution of the errors "
+        f"on the test set, {direction}.",
+        f"Distribution of the errors in {unit} on {len(test.names)} unseen tests.",
+    )
+    return outputs, errors
 
 
 # The whole study.

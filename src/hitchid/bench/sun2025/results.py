@@ -62,6 +62,7 @@ def mechanistic(rig: str | Path | Rig, direction: str) -> Mechanistic:
     spool = bench.lifting_valve.spool if lifting else bench.lowering_valve.spool
     mean_level = float(np.mean(LOW + HIGH))
     travel = mean_level * STROKE_FRACTION * limits.stroke_m
+    # The middle of a test's way: lifting begins at the bottom, lowering at the top.
     displacement = 0.5 * travel if lifting else limits.stroke_m - 0.5 * travel
 
     def linearise(effective: float) -> SmallSignal:
@@ -72,6 +73,7 @@ def mechanistic(rig: str | Path | Rig, direction: str) -> Mechanistic:
     effective = 0.5 * wide_open
     for _ in range(STEPS):  # speed is convex in the current: from the second, iterates are above
         linear_model = linearise(effective)
+        # Never beyond the stop, where the speed does not rise and a step would lead anywhere.
         effective = min(
             effective + (1e3 * travel / DYNAMIC_S - linear_model.speed) / linear_model.gain, wide_open
         )
@@ -131,6 +133,7 @@ def direction_result(
     ours = _subsets(default, campaign, direction, closed_loop=False)
     theirs = _subsets(paper, campaign, direction, closed_loop=True)
     channel = paper.model.channels[direction]
+    # In the channel of the paper's method, so that batches and units are the same.
     unfitted = replace(channel, benchmark=mechanistic.physical_model, dead_zone=mechanistic.dead_zone)
     held_out = campaign.held_out(direction)
     test = replace(

@@ -76,7 +76,7 @@ class CanBus:
             commands = (output.lifting_command, output.lowering_command)
             sent = [self._located(path, f"{output.message}/{name}")[1].unit for name in commands]
             for role, name, unit in zip(REQUIRED[:2], commands, sent, strict=True):
-                if unit != located[role][1].unit:
+                if unit != located[role][1].unit:  # they are sent as they are, in the unit that is read
                     raise InputError(f"{path}: {name} is in {unit}, {role} in {located[role][1].unit}")
 
     def open(self) -> None:
@@ -104,7 +104,7 @@ class CanBus:
         Raises:
             InputError: the bus is lost.
         """
-        for _ in range(MOST_FRAMES):
+        for _ in range(MOST_FRAMES):  # without waiting, until none is left: the newest values count
             frame = self._on_bus(self._bus.recv, timeout=0)
             if frame is None:
                 break
@@ -147,6 +147,7 @@ class CanBus:
         if output is None:
             return
         message = self._database.get_message_by_name(output.message)
+        # A message is sent whole: its signals that are no command are zero.
         values = dict.fromkeys((signal.name for signal in message.signals), 0.0)
         values |= {output.lifting_command: float(commands[0]), output.lowering_command: float(commands[1])}
         self._bus.send(
@@ -162,6 +163,7 @@ class CanBus:
         if not columns:
             return
         message = self._database.get_message_by_frame_id(frame.arbitration_id)
+        # What a short frame lacks is missing then; it is no reason to lose the bus, and to stop a run.
         decoded = message.decode(frame.data, decode_choices=False, allow_truncated=True)
         for column, name in columns:
             self._values[column] = float(decoded.get(name, math.nan))

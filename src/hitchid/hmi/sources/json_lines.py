@@ -16,7 +16,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from hitchid.errors import InputError
-from hitchid.hmi.source import REQUIRED, REQUIRED_SIGNALS, Reading, signal_named
+from hitchid.hmi.source import REQUIRED, REQUIRED_SIGNALS, Reading
 
 LOOPBACK = "127.0.0.1"
 MOST_BYTES = 65536  # read at once, and of an unfinished line; chosen
@@ -107,7 +107,7 @@ class UdpTransport:
         Raises:
             InputError: the port is taken.
         """
-        self._sender: tuple[str, int] | None = None
+        self._sender: tuple[str, int] | None = None  # of this session: it may be another one next time
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
@@ -146,28 +146,15 @@ class JsonLines:
     Args:
         transport: of the lines.
         label: for the operator.
-        step_s: sampling time, s.
         can_move: whether commands are sent.
-        covariates: further signals, name to unit.
     """
 
+    signals = REQUIRED_SIGNALS
+    step_s = 0.01
     virtual = False
 
-    def __init__(
-        self,
-        transport: Transport,
-        label: str,
-        *,
-        step_s: float = 0.01,
-        can_move: bool = False,
-        covariates: dict[str, str] | None = None,
-    ) -> None:
-        self._transport, self.label, self.step_s, self.can_move = transport, label, step_s, can_move
-        further = (
-            signal_named(name, unit, "pressure" if unit == "bar" else "other")
-            for name, unit in (covariates or {}).items()
-        )
-        self.signals = (*REQUIRED_SIGNALS, *further)
+    def __init__(self, transport: Transport, label: str, *, can_move: bool = False) -> None:
+        self._transport, self.label, self.can_move = transport, label, can_move
 
     def open(self) -> None:
         """Connect."""
@@ -184,7 +171,7 @@ class JsonLines:
         if data is None:
             raise InputError(f"{self.label}: the input has ended; connect again when it is back")
         *lines, self._pending = (self._pending + data).split(b"\n")
-        self._pending = self._pending[-MOST_BYTES:]
+        self._pending = self._pending[-MOST_BYTES:]  # a line without an end must not fill the memory
         return tuple(filter(None, map(self._reading, lines)))
 
     def write(self, commands: np.ndarray) -> None:
@@ -205,6 +192,7 @@ class JsonLines:
         if not isinstance(content, dict):
             return None
         time_s = _number(content.get("time_s"))
+        # Also no number: logs and the clock of a run need times that rise.
         if not time_s > self._latest_s or math.isinf(time_s):
             return None
         self._latest_s = time_s

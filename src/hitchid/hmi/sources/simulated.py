@@ -33,24 +33,24 @@ class VirtualBench:
     virtual = True
     can_move = True
 
-    def __init__(self, rig: str = "nominal", seed: int = 0) -> None:
-        self._rig, self._seed = load_rig(rig), seed
+    def __init__(self, rig: str) -> None:
+        self._rig = load_rig(rig)
         self.label = f"virtual bench, {rig}"
 
     def open(self) -> None:
         """Switch the bench on, and compile its step."""
-        self._state, self._measurement = reset(
-            self._rig, jax.random.key(self._seed), initial_displacement_m=START_M
-        )
-        step(self._rig, self._state, np.zeros(2))
+        self._state, self._measurement = reset(self._rig, jax.random.key(0), initial_displacement_m=START_M)
+        step(self._rig, self._state, np.zeros(2))  # compiled here: no tick should wait for it
 
     def read(self) -> Sequence[Reading]:
         """Return the present sample."""
         plant = self._state.plant
         pressures = (plant.pressure, plant.supply_pressure)
+        # At once: one transfer from the device instead of one for each value.
         (time_s, displacement, (up, down)), (pressure, supply) = jax.device_get(
             (self._measurement, pressures)
         )
+        # Commands without a value are filled in by the loop; the currents beside them are measured.
         row = (math.nan, math.nan, displacement, up, down, pressure / PA_PER_BAR, supply / PA_PER_BAR)
         return (Reading(float(time_s), tuple(map(float, row))),)
 
@@ -80,6 +80,7 @@ class Replay:
         for name, direction in zip(REQUIRED[:2], DIRECTIONS, strict=True):
             given = direction in record.directions
             unit = record.units[COMMAND[direction]] if given else "A"
+            # A log of one direction has both commands here: every source has the same first signals.
             columns[signal_named(name, unit, "command")] = (
                 record.command(direction) if given else np.zeros(len(record))
             )
