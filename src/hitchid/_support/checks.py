@@ -42,6 +42,7 @@ def named_arguments(function: Callable[Arguments, Result]) -> Callable[Arguments
         try:
             return function(*args, **kwargs)
         except TypeError:
+            # Only arguments that do not fit: a TypeError from within the function stays what it is.
             signature = inspect.signature(function)
             try:
                 signature.bind(*args, **kwargs)

@@ -118,6 +118,7 @@ def write_folder(folder: Path, write: Callable[[Path], None], *, result_kind: st
                 temporary,
                 {MANIFEST_FILE: canonical_json({"kind": result_kind, "files": _digests(temporary)})},
             )
+            # `mkdtemp` lets nobody but its owner in.
             os.chmod(temporary, 0o755)  # noqa: S103
             # Contents reach the disk before the name does: after a power cut no result is empty.
             fsync(*temporary.rglob("*"), temporary)

@@ -24,7 +24,6 @@ from hitchid._support.tables import shortened
 from hitchid.errors import InputError, ModelFolderError
 from hitchid.model.description import (
     Tensors,
-    channel_tensors,
     check_known,
     deployed_tensors,
     describe,
@@ -34,6 +33,7 @@ from hitchid.model.description import (
     read_hitch,
     shapes_of,
     tensors_of,
+    trained_parts,
 )
 from hitchid.model.hitch import Hitch
 from hitchid.model.rivals import Rivals
@@ -70,13 +70,15 @@ def describe_rivals(rivals: Mapping[str, Rivals]) -> dict[str, object]:
 
 def rivals_tensors(rivals: Mapping[str, Rivals]) -> dict[str, np.ndarray]:
     """Return the arrays of the rivals, `direction/baselines/…` and `direction/paper/…`."""
-    tensors = {}
-    for direction, of_direction in rivals.items():
-        for name, fitted in of_direction.baselines.items():
-            tensors |= tensors_of(fitted, f"{direction}/baselines/{name}")
-        if of_direction.paper is not None:
-            tensors |= channel_tensors(of_direction.paper, f"{direction}/paper")
-    return tensors
+    return tensors_of(
+        {
+            direction: {
+                "baselines": dict(fitted.baselines),
+                "paper": None if fitted.paper is None else trained_parts(fitted.paper),
+            }
+            for direction, fitted in rivals.items()
+        }
+    )
 
 
 def read_rivals(described: Mapping[Direction, RivalsOfDirection], tensors: Tensors) -> dict[str, Rivals]:

@@ -195,7 +195,7 @@ def predict_from_origins(
         state, _ = dynamics.step(state, *inputs)
         return state, state
 
-    # One pass with measurements gives the states at all origins; a pass for each origin would take N²/2 steps.
+    # One pass with measurements gives the states at all origins.
     _, states = jax.lax.scan(
         advance_measured, dynamics.init_state(initial[0], initial[1:]), (commands[:count], measured[:count])
     )

@@ -75,6 +75,7 @@ class Hitch(Value, Summarised, Handover):
 
     def __post_init__(self) -> None:
         """Make channels and units read-only, and sort channels in the order of `DIRECTIONS`."""
+        # The order counts: with both valves open the last channel moves the piston, which is lowering.
         ordered = {name: self.channels[name] for name in DIRECTIONS if name in self.channels}
         object.__setattr__(self, "channels", MappingProxyType(ordered))
         object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
@@ -309,8 +310,10 @@ class Hitch(Value, Summarised, Handover):
         (predicted,) = multi_step_predictions(self.dynamics, model_record, initial, (horizon,), 1)
         movement = predicted - last_measured(model_record.displacement, float(initial.displacement), horizon)
         half_widths = np.stack([each.half_width(coverage, horizon, movement) for each in bands])
+        # Which channel is in charge follows from the commands alone.
         active_channel = self.simulate(record).run.active_channel
         by_channel = np.take_along_axis(half_widths, np.maximum(active_channel, 0)[None], axis=0)[0]
+        # Before any command is effective none is: the widest band of all.
         half_width = np.where(active_channel < 0, half_widths.max(axis=0), by_channel)
         centre, half_width = (
             simulation.to_record_units(row, self.units, model_record, record)
@@ -420,6 +423,7 @@ class Hitch(Value, Summarised, Handover):
 
     def free_run_dynamics(self, *, compensated: bool = True) -> HitchDynamics:
         """Return the dynamics without the compensator for predictions, or without any compensator."""
+        # The network for predictions corrects from what was measured, which a free run has not.
         removed = {"compensator": None} if compensated else {"compensator": None, "speed_compensator": None}
         channels = [replace(channel, **removed) for channel in self.channels.values()]
         return HitchDynamics.of(channels, self.step_s, self.drift)

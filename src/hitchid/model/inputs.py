@@ -120,6 +120,7 @@ def _by_role(commands: Commands, directions: Sequence[str]) -> dict[str, np.ndar
 
 def _numbers(values: Numbers, *dimensions: int) -> np.ndarray:
     """Return an array of real numbers of one of the given numbers of dimensions."""
+    # `asarray` would drop the mask, and take what it hides for commands.
     if np.ma.is_masked(values):
         raise InputError("commands: expected numbers without a mask, got a masked array")
     try:
@@ -196,6 +197,7 @@ def load_to_estimate(
     """
     if not isinstance(load, Mapping):
         return load_row(load, channels, owner)
+    # Any number in place of None: the others are checked with it, and NaN replaces it.
     row = load_row({name: 0.0 if value is None else value for name, value in load.items()}, channels, owner)
     names = covariates_of(channels)
     not_measured = np.array([name in load and load[name] is None for name in names])

@@ -107,6 +107,7 @@ class LoadFilter(eqx.Module):
         zero = jnp.zeros_like(like)
         offset_variance = self.noise**2 + self.drift**2 * step_s
         mean = jnp.stack([zero, zero, zero])
+        # At rest the displacement is known to the sensor's noise, the load is not; there is no transient yet.
         covariance = [
             [zero + offset_variance, zero, zero],
             [zero, zero + self.load_scatter**2, zero],

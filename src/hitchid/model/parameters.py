@@ -308,6 +308,7 @@ def with_parameters(model: "Hitch", changes: Mapping[str, Mapping[str, float] | 
             estimates = _without_intervals(uncertainty[direction].benchmark, checked)
             uncertainty[direction] = Uncertainty(estimates)
         set_by_hand[direction] = {**set_by_hand.get(direction, {}), **checked}
+    # Without the digest, as no folder holds this model.
     provenance = replace(model.provenance, set_by_hand=set_by_hand, digest="") if given else model.provenance
     return replace(model, channels=channels, uncertainty=uncertainty, rivals=rivals, provenance=provenance)
 

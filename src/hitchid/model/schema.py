@@ -119,6 +119,7 @@ class PhysicalDescription(Described):
             structure = structure_named(self.structure)
         except InputError as error:
             raise ValueError(str(error)) from error
+        # A part that the structure has not would be simulated all the same.
         described = {
             ModelOption.DEAD_TIME: self.dead_time_s != 0,
             ModelOption.VALVE_CURVE: self.shape is not None,

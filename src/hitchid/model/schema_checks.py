@@ -88,6 +88,7 @@ def check_characteristics(characteristics: Characteristics, covariates: Collecti
     points, load = characteristics.speed_map, characteristics.load
     if load is not None:
         check_names("load", [load], covariates)
+    # A full grid, since a curve is drawn over all commands for each load.
     places = {(point.command, point.load) for point in points}
     commands, loads = {command for command, _ in places}, {load for _, load in places}
     if not points or not len(points) == len(places) == len(commands) * len(loads):

@@ -167,7 +167,7 @@ class LoadBank(eqx.Module):
         from scipy.stats import qmc  # where it is needed: a model is loaded without it
 
         points = jnp.asarray(qmc.Sobol(load.size, scramble=False).random_base2(LOADS_LOG2))
-        # Sobol's points begin at 0: moved by half a cell they are as far from either end, and their mean is 0.
+        # Sobol's points begin at the lower end: moved by half a cell their mean is 0.
         centred = 2 * points - 1 + 1 / len(points)
 
         def at_point(point: Float[Array, " l"]) -> HitchState:

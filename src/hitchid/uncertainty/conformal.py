@@ -23,6 +23,7 @@ def nonconformity_scores(
 
     The spread is the root of the sum of squared deviations of the ensemble members.
     """
+    # The part of a band that is the sensor's noise is not calibrated: an error within it has the score 0.
     floor = (float(ndtri(0.5 + level / 2)) * noise) ** 2
     return [
         np.sqrt(np.maximum(error**2 - floor, 0.0)) / np.maximum(spread, SMALLEST)

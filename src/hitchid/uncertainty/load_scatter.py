@@ -101,6 +101,7 @@ def load_scatter(
     """
     if not np.any(free):
         raise FitError("no parameter of the form was estimated; the load scatter requires one at least")
+    # With one gain for all tests: a gain of each test's own would take up its load.
     errors = errors_of_tests(objective.pooled(), position, free)
     return scatter_of(contrasts_of(errors), names)
 
@@ -152,6 +153,7 @@ def errors_of_tests(objective: Objective, position: np.ndarray, free: np.ndarray
     derivatives.append(travel_at(position, command_step) - travel_at(position, -command_step))
     travel = travel_at(position)
     error = np.asarray(batch.travel) - travel
+    # Of unit length, so that one limit of the eigenvalues is right for parameters of any unit.
     sizes = [float(np.linalg.norm(column)) or 1.0 for column in derivatives]
     scaled = [column / size for column, size in zip(derivatives, sizes, strict=True)]
     rows = np.stack([np.ones_like(travel), travel, error, *scaled], axis=2)
@@ -179,6 +181,7 @@ def contrasts_of(errors: FreeRunErrors) -> Contrasts:
     if not errors.counted.any():
         raise FitError("the piston does not move in the identification tests")
     grams = _grams(errors, _error_correlation(errors))[0]
+    # The offset of each test may be anything; then what the parameters took up of the loads goes, too.
     grams = _eliminated(grams, 1)[0]
     loads, shared, cross = grams[:, 0, 0], grams[:, 2:, 2:].sum(axis=0), grams[:, 0, 2:]
     inverse = np.linalg.pinv(shared, MIN_EIGENVALUE**2, hermitian=True)
@@ -253,6 +256,7 @@ def _eliminated(grams: Float[np.ndarray, "t c c"], count: int) -> tuple[Float[np
 
 def _most_likely(contrasts: Contrasts) -> float:
     """Return ω of largest restricted likelihood, which may be 0."""
+    # The likelihood is flat at 0, a function of ω²: a search that starts there stays, so a grid comes first.
     grid = np.concatenate([[0.0], np.geomspace(SMALLEST / contrasts.sensitivities.max(), MAX_SCATTER, GRID)])
     best = int(np.argmin([contrasts.negative_log_likelihood(scatter) for scatter in grid]))
     around = (float(grid[max(best - 1, 0)]), float(grid[min(best + 1, GRID)]))
@@ -271,6 +275,7 @@ def _interval(contrasts: Contrasts) -> Interval:
 
 def _crossing(contrasts: Contrasts, quantile: float) -> float | None:
     """Return ω at which Q(ω) falls below a quantile; 0 where it is always below, None where never."""
+    # Q falls as ω grows, so it crosses a quantile once at most.
     if contrasts.statistic(0.0) <= quantile:
         return 0.0
     if contrasts.statistic(MAX_SCATTER) > quantile:

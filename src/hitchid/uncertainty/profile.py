@@ -40,21 +40,6 @@ class Profile(NamedTuple):
     tangents: np.ndarray
     search_range: float
 
-    def open_ends(self, quantity: Callable[[np.ndarray], float]) -> tuple[bool, bool]:
-        """Return whether a quantity falls, and whether it rises, beyond the open ends of this profile.
-
-        At an open end the parameter is unbounded, and so is a quantity that changes at more than a tenth of
-        its rate. Tangents are clipped at ten times its rate: faster parameters hardly affect the model.
-        """
-        ends = [(0, -STEP)] * (self.lower is None) + [(-1, STEP)] * (self.upper is None)
-        open_below = open_above = False
-        for number, step in ends:
-            end = self.positions[number]
-            outward = step * np.clip(self.tangents[number], -MAX_PACE, MAX_PACE)
-            pace = (quantity(end + outward) - quantity(end - outward)) / (2 * STEP * self.search_range)
-            open_below, open_above = open_below or pace < -MIN_PACE, open_above or pace > MIN_PACE
-        return open_below, open_above
-
 
 def profile(
     objective: Objective, position: np.ndarray, number: int, dead_zone: DeadZoneError = NO_ERROR
@@ -69,6 +54,7 @@ def profile(
     """
     others = [index for index in range(position.size) if index != number]
     points: list[_ProfilePoint] = []
+    # The error of the dead zone affects all tests in the same way: their scatter does not show it.
     shifted = [dead_zone.shifted_by_one_sigma(objective)] if dead_zone.standard_error else []
     objectives = [objective, *shifted]
     best_errors = [term.rmse_by_test(position) for term in objectives]
@@ -101,10 +87,16 @@ def profile(
             inside, outside = (inside, middle) if point.excess > 1 else (middle, outside)
         return outside
 
+    # The estimate itself counts as allowed, whatever slope the end of the search has left.
     best = replace(fit_at(float(position[number]), position), excess=0.0)
     lower, upper = interval_end(0.0), interval_end(1.0)
+    # A bound given in the settings is prior knowledge, and closes the interval.
     if objective.spec.parameters[number].name in objective.spec.bounds:
         lower, upper = lower or 0.0, 1.0 if upper is None else upper
+    lower_bound, upper_bound, is_linear = (
+        array[number].item()
+        for array in (objective.bounds.lower, objective.bounds.upper, objective.bounds.linear)
+    )
     ordered = sorted([best, *points[1:]], key=lambda point: float(point.position[number]))
     return Profile(
         number,
@@ -114,13 +106,8 @@ def profile(
         fitness=np.array([point.fitness for point in ordered]),
         allowed=np.array([p.excess <= 1 or p.position[number] in (lower, upper) for p in ordered]),
         tangents=np.stack([point.tangent for point in ordered]),
-        search_range=_search_range(objective, number),
+        search_range=1.0 if is_linear else float(np.log(upper_bound / lower_bound)),
     )
-
-
-def _search_range(objective: Objective, number: int) -> float:
-    lower, upper = float(objective.bounds.lower[number]), float(objective.bounds.upper[number])
-    return 1.0 if bool(objective.bounds.linear[number]) else float(np.log(upper / lower))
 
 
 @dataclass(frozen=True)
@@ -162,6 +149,7 @@ class _ProfilePoint:
         increase, *shifted_increases = [
             fit_errors - best for fit_errors, best in zip((errors, *shifted_errors), best_errors, strict=True)
         ]
+        # Far from the optimum the slope may vanish; there a value is excluded by the growth of the errors.
         if increase.size >= MIN_TESTS:
             mean = float(increase.mean())
             shift = sum((float(other.mean()) - mean for other in shifted_increases), 0.0)
@@ -183,6 +171,16 @@ def _relative_excess(
 
 
 def open_ends(profiles: Iterable[Profile], quantity: Callable[[np.ndarray], float]) -> tuple[bool, bool]:
-    """Return whether a quantity falls, and whether it rises, beyond any end; see `Profile.open_ends`."""
-    ends = [curve.open_ends(quantity) for curve in profiles]
-    return any(open_below for open_below, _ in ends), any(open_above for _, open_above in ends)
+    """Return whether a quantity falls, and whether it rises, beyond an open end of any profile.
+
+    At an open end the parameter is unbounded, and so is a quantity that changes at more than a tenth of its
+    rate. Tangents are clipped at ten times its rate: faster parameters hardly affect the model.
+    """
+    open_below = open_above = False
+    for curve in profiles:
+        for number, step in [(0, -STEP)] * (curve.lower is None) + [(-1, STEP)] * (curve.upper is None):
+            end = curve.positions[number]
+            outward = step * np.clip(curve.tangents[number], -MAX_PACE, MAX_PACE)
+            pace = (quantity(end + outward) - quantity(end - outward)) / (2 * STEP * curve.search_range)
+            open_below, open_above = open_below or pace < -MIN_PACE, open_above or pace > MIN_PACE
+    return open_below, open_above
