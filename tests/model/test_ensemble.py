@@ -7,7 +7,6 @@ from scipy import stats
 from handmade import DEAD_ZONES, GAINS, NOISE, hitch, with_bands
 from hitchid.errors import InputError
 from hitchid.logs.record import LIFTING, LOWERING
-from hitchid.model import load, save
 from truth import STEP_S, levels
 
 MODEL = with_bands(hitch(), LIFTING, LOWERING)
@@ -74,10 +73,3 @@ def test_without_bands_for_a_channel_there_is_none(cycle):
 def test_a_share_that_was_not_calibrated_is_refused(cycle, coverage):
     with pytest.raises(InputError, match=r"coverage: expected (between 0\.5 and 0\.95|a finite number), got"):
         MODEL.simulate(cycle[0]).band(coverage)
-
-
-def test_what_is_known_comes_back_from_the_folder(tmp_path, cycle):
-    save(MODEL, tmp_path / "model")
-    again = load(tmp_path / "model")
-    assert again.uncertainty == MODEL.uncertainty
-    np.testing.assert_array_equal(again.simulate(cycle[0]).band(), MODEL.simulate(cycle[0]).band())

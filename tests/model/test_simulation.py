@@ -104,9 +104,9 @@ def test_what_is_given_counts_instead_of_what_a_record_shows():
 def test_two_integrators_follow_their_closed_form(seed, start, samples):
     commands = commands_of(seed)[:samples]
     exact = moved(start, commands)
-    found = INTEGRATORS.simulate(commands, step_s=STEP_S, initial=start)
+    simulated = INTEGRATORS.simulate(commands, step_s=STEP_S, initial=start)
     rounding = samples * np.finfo(float).eps * np.abs(exact).max()
-    np.testing.assert_allclose(found.displacement, exact, rtol=0, atol=rounding)
+    np.testing.assert_allclose(simulated.displacement, exact, rtol=0, atol=rounding)
 
 
 FORMS = {
@@ -122,8 +122,8 @@ FORMS = {
 @pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
 def test_commands_come_in_any_form(form):
     expected = INTEGRATORS.simulate(commands_of(), step_s=STEP_S, initial=START)
-    found = INTEGRATORS.simulate(form(commands_of()), step_s=STEP_S, initial=START)
-    np.testing.assert_array_equal(found.displacement, expected.displacement)
+    simulated = INTEGRATORS.simulate(form(commands_of()), step_s=STEP_S, initial=START)
+    np.testing.assert_array_equal(simulated.displacement, expected.displacement)
 
 
 def test_one_channel_takes_its_command_alone_and_with_both_signs():

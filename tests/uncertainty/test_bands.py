@@ -205,10 +205,10 @@ def test_with_too_few_tests_every_test_has_its_share_inside(rows):
 @pytest.mark.parametrize("coverage", [0.49, 0.96, 95.0, float("nan")])
 def test_coverage_beyond_the_levels_is_refused(coverage):
     complaint = f"coverage: expected between 0.5 and 0.95, got {coverage:g}"
-    for ask in (
+    for call in (
         lambda: BANDS.multiplier(coverage),
         lambda: BANDS.half_width(coverage, 1, np.zeros(1)),
         lambda: free_run_half_width([BANDS], [np.ones(3)], coverage),
     ):
         with pytest.raises(InputError, match=complaint):
-            ask()
+            call()

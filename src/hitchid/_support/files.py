@@ -41,6 +41,7 @@ def lines(stream: Iterable[str], quiet_s: float, when_quiet: Callable[[], object
     if file is None:
         yield from (line.rstrip("\n") for line in stream)
         return
+    # Not by the lines of the stream: what its buffer holds already, `select` would wait for in vain.
     begun = bytearray()
     while True:
         if quiet_s > 0 and not select.select([file], [], [], quiet_s)[0]:
@@ -183,6 +184,7 @@ def _lock(folder: Path) -> int | None:
 def _digests(folder: Path) -> dict[str, str]:
     """Return path to SHA-256 of the files below a folder except its manifest; "" for no regular file."""
     paths = sorted(path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir())
+    # Where a link leads is none of the result: it counts as changed, and is never replaced.
     return {
         path.relative_to(folder).as_posix(): ""
         if path.is_symlink() or not path.is_file()

@@ -163,6 +163,7 @@ def read_channel(direction: str, described: ChannelDescription, tensors: Tensors
     Raises:
         ValueError: the tensors are not those of the channel.
     """
+    # One zero stands for no covariate, as in every load; see `mean_load`.
     loads = len(described.covariates) or 1
     channel = Channel(
         direction=direction,
@@ -292,6 +293,7 @@ def describe(hitch: Hitch) -> dict[str, object]:
             subset: {direction: list(names) for direction, names in getattr(provenance, subset).items()}
             for subset in SUBSETS
         },
+        # Sorted, for a set has no order: equal models have equal bytes.
         "seen": sorted(provenance.seen),
         "cut_at": dict(provenance.segmentation_dead_zones),
         "seed": provenance.seed,
@@ -319,6 +321,7 @@ def read_hitch(described: ModelDescription, tensors: Tensors) -> Hitch:
         seen=described.seen,
         segmentation_dead_zones=described.cut_at,
         seed=described.seed,
+        # Only what was written: saved again, the model has the same bytes.
         settings=described.settings.model_dump(exclude_unset=True),
         versions=described.versions,
         set_by_hand=described.set_by_hand,

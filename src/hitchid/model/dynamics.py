@@ -220,7 +220,9 @@ class HitchDynamics(eqx.Module):
     @property
     def _load_filters(self) -> LoadFilter:
         """The load filters of all channels, parameters of shape [C]."""
-        return jax.tree.map(lambda *values: jnp.stack(values), *(each.load_filter for each in self.channels))
+        return jax.tree.map(
+            lambda *values: jnp.stack(values), *(channel.load_filter for channel in self.channels)
+        )
 
     def _with_measurement(
         self, state: HitchState, measured: Float[Array, ""], is_measured: Bool[Array, ""]
@@ -239,17 +241,17 @@ class HitchDynamics(eqx.Module):
 
     def _start_filter(self, state: HitchState, last_mode: Int[Array, ""]) -> HitchState:
         """Start the filter of a channel that takes charge: its load is unknown."""
-        known, from_rest = state.estimates, last_mode == STANDING
+        estimates, from_rest = state.estimates, last_mode == STANDING
         # A channel that takes over starts at the estimated displacement, which leaves no offset, with the
         # variance of that estimate; the first one keeps what was measured at rest.
-        offset = jnp.where(from_rest, known.mean[OFFSET], 0.0)
-        variance = jnp.where(from_rest, known.variance, known.variance[last_mode])
+        offset = jnp.where(from_rest, estimates.mean[OFFSET], 0.0)
+        variance = jnp.where(from_rest, estimates.variance, estimates.variance[last_mode])
         fresh = self._load_filters.init_estimate(offset, self.step_s)
         started = fresh._replace(
             mean=fresh.mean.at[OFFSET].set(offset),
             covariance=fresh.covariance.at[OFFSET, OFFSET].set(variance),
         )
-        return state._replace(estimates=select(state.mode != last_mode, started, known))
+        return state._replace(estimates=select(state.mode != last_mode, started, estimates))
 
     def _compute_features(
         self, state: HitchState, reset: Bool[Array, ""]

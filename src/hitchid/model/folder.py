@@ -146,6 +146,7 @@ def save(
         WEIGHTS_FILE: save_tensors(deployed_tensors(hitch)),
         TRACE_FILE: canonical_json(trace or {}),
     }
+    # After the other files, whose digests its own digest seals.
     content = _sealed(describe(hitch), files)
     files[MODEL_FILE] = canonical_json(content)
     if hitch.rivals:
@@ -184,6 +185,7 @@ def load(folder: str | Path) -> Hitch:
         tensors = load_tensors(weights)
         hitch = read_hitch(described, tensors)
         check_known(tensors, deployed_tensors(hitch))
+    # Name and day are those of the folder and no part of the model: a copy of it is the same model.
     written = datetime.fromtimestamp((path / MODEL_FILE).stat().st_mtime, UTC)
     provenance = replace(hitch.provenance, name=path.resolve().name, date=f"{written:%Y-%m-%d}")
     return replace(hitch, provenance=provenance, rivals=_load_rivals(path, described))

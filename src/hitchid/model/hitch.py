@@ -330,9 +330,9 @@ class Hitch(Value, Summarised, Handover):
     def bands(self) -> dict[str, Bands]:
         """Direction to the bands of its channel; without those that have none."""
         return {
-            direction: known.bands
-            for direction, known in self.uncertainty.items()
-            if direction in self.channels and known.bands is not None
+            direction: uncertainty.bands
+            for direction, uncertainty in self.uncertainty.items()
+            if direction in self.channels and uncertainty.bands is not None
         }
 
     @named_arguments

@@ -123,11 +123,8 @@ def _numbers(values: Numbers, *dimensions: int) -> np.ndarray:
     # `asarray` would drop the mask, and take what it hides for commands.
     if np.ma.is_masked(values):
         raise InputError("commands: expected numbers without a mask, got a masked array")
-    try:
-        array = np.asarray(values)
-    except (TypeError, ValueError) as error:
-        raise checks.input_error("commands", "numbers", values) from error
-    if array.dtype.kind not in "iuf" or array.ndim not in dimensions:
+    array = checks.array(values, "commands", COMMANDS, "numbers")
+    if array.ndim not in dimensions:
         raise checks.input_error("commands", COMMANDS, values)
     return array.astype(np.float64)
 
@@ -221,7 +218,7 @@ def channel_load(
     channels: Sequence["Channel"], number: int, load: Float[Array, "*m l"]
 ) -> Float[Array, "*m c"]:
     """Return the covariates of one channel from those of the hitch; one zero where it has none."""
-    names, known = channels[number].benchmark.covariates, covariates_of(channels)
+    names, all_names = channels[number].benchmark.covariates, covariates_of(channels)
     if not names:
         return jnp.zeros((*load.shape[:-1], 1))
-    return load[..., np.array([known.index(name) for name in names])]
+    return load[..., np.array([all_names.index(name) for name in names])]

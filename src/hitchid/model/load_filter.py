@@ -94,6 +94,7 @@ class LoadFilter(eqx.Module):
     @double_precision
     def none(cls) -> "LoadFilter":
         """Return the filter whose estimate is the last measured error, which stays."""
+        # Without noise and load any drift makes the gain one: the offset is the last error, whatever it was.
         zero, one, never = jnp.zeros(()), jnp.ones(()), jnp.asarray(jnp.inf)
         return cls(zero, zero, never, zero, never, one)
 

@@ -51,6 +51,7 @@ def conformal_quantile(scores: Sequence[np.ndarray], level: float) -> float:
     """
     # Quantiles of each test at GRID: sorting costs a tenth of `np.quantile` at so many.
     rows = np.stack([_interpolate(np.sort(row), GRID * (row.size - 1)) for row in scores])
+    # One test has no others to compare it with.
     if len(rows) == 1:
         return float(rows.max())
     order = np.argsort(rows, axis=None)
@@ -64,6 +65,7 @@ def conformal_quantile(scores: Sequence[np.ndarray], level: float) -> float:
         pairs = zip(rows, limits(probability), strict=True)
         return float(np.mean([np.interp(limit, row, GRID, left=0.0, right=1.0) for row, limit in pairs]))
 
+    # All scores of the others cover too little of a test: the largest of all.
     if mean_coverage(1.0) < level:
         return float(rows.max())
     low, high = level, 1.0

@@ -12,7 +12,14 @@ from hitchid.estimation import Objective, refine_subset
 from hitchid.estimation.objective import GAIN_RIDGE
 from hitchid.model.estimates import Information
 from hitchid.uncertainty.profile import Profile
-from hitchid.uncertainty.scores import MIN_EIGENVALUE, DeadZoneError, Scores, t_quantile, with_dead_zone
+from hitchid.uncertainty.scores import (
+    MIN_EIGENVALUE,
+    DeadZoneError,
+    Scores,
+    t_quantile,
+    with_dead_zone,
+    with_shifted_dead_zone,
+)
 
 BOOTSTRAP_DRAWS = 999  # resamples of the tests; chosen
 # Refit with a shifted dead zone: steps, relative tolerance of the sum of squares (tight: the shift of the
@@ -68,17 +75,9 @@ class Influence(NamedTuple):
         """Standard errors of the estimates, shape [D]."""
         return np.sqrt(np.diag(self.covariance))
 
-    def error(self, weights: np.ndarray) -> float:
-        """Return the standard error of a linear combination of parameters, weights of shape [D]."""
-        return float(np.sqrt(weights @ self.covariance @ weights))
-
     def half_width(self, weights: np.ndarray, degrees: float) -> float:
         """Return half the width of the 95 % interval of a linear combination of parameters."""
-        return t_quantile(degrees) * self.error(weights)
-
-    def combination_degrees(self, combinations: Float[np.ndarray, "d q"]) -> Float[np.ndarray, " q"]:
-        """Return the degrees of freedom of combinations' standard errors, without the dead zone's share."""
-        return self.scores.degrees_of_freedom(combinations[self.free])
+        return t_quantile(degrees) * float(np.sqrt(weights @ self.covariance @ weights))
 
 
 def compute_influence(
@@ -136,9 +135,7 @@ def _shifted_estimates(
         return estimates
     coarse_objective = objective.with_data(objective.batch.coarse())
     for row, shift in enumerate((dead_zone.standard_error, -dead_zone.standard_error)):
-        shifted_objective = coarse_objective.with_data(
-            coarse_objective.batch.with_dead_zones(coarse_objective.batch.dead_zone + shift)
-        )
+        shifted_objective = with_shifted_dead_zone(coarse_objective, shift)
         indices = np.flatnonzero(free).tolist()
         estimates[row] = _refit(shifted_objective, indices, position)
         # The others were fitted with a gain for each test; the one of all tests follows, as in the estimate.

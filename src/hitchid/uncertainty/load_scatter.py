@@ -13,6 +13,7 @@ from hitchid._support.records import short_repr
 from hitchid.errors import FitError
 from hitchid.estimation import Objective
 from hitchid.model.estimates import STANDSTILL, Interval, LoadOfTest, LoadScatter
+from hitchid.uncertainty.scores import with_shifted_dead_zone
 
 LEVEL = 0.95  # of the intervals
 FEWEST_CONTRASTS = 2  # differences between tests; of fewer a scatter has no interval
@@ -147,7 +148,7 @@ def errors_of_tests(objective: Objective, position: np.ndarray, free: np.ndarray
     command_step = DEAD_ZONE_STEP * float(np.abs(np.asarray(batch.raw_command)).max())
 
     def travel_at(point: np.ndarray, shift: float = 0.0) -> np.ndarray:
-        return objective.with_data(batch.with_dead_zones(batch.dead_zone + shift)).travel(point)
+        return with_shifted_dead_zone(objective, shift).travel(point)
 
     derivatives = [travel_at(position + step) - travel_at(position - step) for step in steps]
     derivatives.append(travel_at(position, command_step) - travel_at(position, -command_step))
@@ -188,9 +189,9 @@ def contrasts_of(errors: FreeRunErrors) -> Contrasts:
     information = np.diag(loads) - cross @ inverse @ cross.T
     slopes = grams[:, 0, 1] - cross @ inverse @ grams[:, 1, 2:].sum(axis=0)
     eigenvalues, vectors = np.linalg.eigh(information)
-    known = eigenvalues > MIN_EIGENVALUE * loads.max()
-    sensitivities = np.sqrt(eigenvalues[known])
-    return Contrasts(vectors[:, known].T @ slopes / sensitivities, sensitivities, vectors[:, known])
+    determined = eigenvalues > MIN_EIGENVALUE * loads.max()
+    sensitivities = np.sqrt(eigenvalues[determined])
+    return Contrasts(vectors[:, determined].T @ slopes / sensitivities, sensitivities, vectors[:, determined])
 
 
 def _error_correlation(errors: FreeRunErrors) -> np.ndarray:

@@ -7,7 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchid.estimation import Objective, refine_subset
-from hitchid.uncertainty.scores import NO_ERROR, DeadZoneError, Scores, t_quantile, welch_satterthwaite
+from hitchid.uncertainty.scores import (
+    NO_ERROR,
+    DeadZoneError,
+    Scores,
+    t_quantile,
+    welch_satterthwaite,
+    with_shifted_dead_zone,
+)
 
 FIRST_STEP = 0.02  # first step from the estimate, in the unit cube, doubled every time; all values chosen
 BISECTION_STEPS = 4  # of an end of the interval
@@ -55,7 +62,9 @@ def profile(
     others = [index for index in range(position.size) if index != number]
     points: list[_ProfilePoint] = []
     # The error of the dead zone affects all tests in the same way: their scatter does not show it.
-    shifted = [dead_zone.shifted_by_one_sigma(objective)] if dead_zone.standard_error else []
+    shifted = (
+        [with_shifted_dead_zone(objective, dead_zone.standard_error)] if dead_zone.standard_error else []
+    )
     objectives = [objective, *shifted]
     best_errors = [term.rmse_by_test(position) for term in objectives]
 
@@ -78,9 +87,9 @@ def profile(
             point = fit_at(coordinate, start)
             start, width = point.position, 2 * width
             inside, outside = (inside, coordinate) if point.excess > 1 else (coordinate, None)
+        if outside is None:
+            return None
         for _ in range(BISECTION_STEPS):
-            if outside is None:
-                return None
             middle = 0.5 * (inside + outside)
             point = fit_at(middle, start)
             start = point.position
@@ -130,31 +139,29 @@ class _ProfilePoint:
     ) -> "_ProfilePoint":
         """Test a position; `objectives`: with the dead zone, and with it one standard error larger."""
         equations = [objective.equations_by_test(position) for objective in objectives]
-        scores, *shifted_scores = [
-            Scores.of(objective, position, at_position)
-            for objective, at_position in zip(objectives, equations, strict=True)
+        scores = [
+            Scores.of(objective, position, of_tests)
+            for objective, of_tests in zip(objectives, equations, strict=True)
         ]
-        tangent = scores.profile_tangent(number)
-        slopes = scores.slopes @ tangent
-        shift = sum((float((other.slopes @ tangent).sum() - slopes.sum()) for other in shifted_scores), 0.0)
-        degrees = slopes.size - position.size
-        errors, *shifted_errors = [
-            objective.rmse_of(at_position.costs)
-            for objective, at_position in zip(objectives, equations, strict=True)
-        ]
+        tangent = scores[0].profile_tangent(number)
+        slopes, shifted_slopes = scores[0].slopes @ tangent, scores[-1].slopes @ tangent
         excess, cost = 0.0, float(equations[0].costs.sum())
-        if slopes.sum() ** 2 > MIN_RELATIVE_DECREASE * (tangent @ scores.curvature @ tangent) * cost:
-            mean = abs(float(slopes.mean()))
-            excess = _relative_excess(mean, slopes, shift / slopes.size, degrees, dead_zone)
-        increase, *shifted_increases = [
-            fit_errors - best for fit_errors, best in zip((errors, *shifted_errors), best_errors, strict=True)
+        if slopes.sum() ** 2 > MIN_RELATIVE_DECREASE * (tangent @ scores[0].curvature @ tangent) * cost:
+            shift = float(shifted_slopes.sum() - slopes.sum()) / slopes.size
+            degrees = slopes.size - position.size
+            excess = _relative_excess(abs(float(slopes.mean())), slopes, shift, degrees, dead_zone)
+        errors = [
+            objective.rmse_of(of_tests.costs)
+            for objective, of_tests in zip(objectives, equations, strict=True)
         ]
+        increases = [of_tests - best for of_tests, best in zip(errors, best_errors, strict=True)]
         # Far from the optimum the slope may vanish; there a value is excluded by the growth of the errors.
-        if increase.size >= MIN_TESTS:
-            mean = float(increase.mean())
-            shift = sum((float(other.mean()) - mean for other in shifted_increases), 0.0)
-            excess = max(excess, _relative_excess(mean, increase, shift, increase.size - 1, dead_zone))
-        fitness = float(np.sqrt(np.mean(errors[errors > 0] ** 2)))
+        if increases[0].size >= MIN_TESTS:
+            mean = float(increases[0].mean())
+            shift = float(increases[-1].mean()) - mean
+            growth = _relative_excess(mean, increases[0], shift, increases[0].size - 1, dead_zone)
+            excess = max(excess, growth)
+        fitness = float(np.sqrt(np.mean(errors[0][errors[0] > 0] ** 2)))
         return cls(position, fitness, excess, tangent)
 
 

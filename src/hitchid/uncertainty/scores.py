@@ -27,12 +27,6 @@ class DeadZoneError(NamedTuple):
     standard_error: float = 0.0
     tests: int = 0
 
-    def shifted_by_one_sigma(self, objective: Objective) -> Objective:
-        """Return the objective with the dead zone one standard error larger."""
-        return objective.with_data(
-            objective.batch.with_dead_zones(objective.batch.dead_zone + self.standard_error)
-        )
-
     @property
     def degrees_of_freedom(self) -> int:
         """Degrees of freedom of the standard error."""
@@ -40,6 +34,11 @@ class DeadZoneError(NamedTuple):
 
 
 NO_ERROR = DeadZoneError()
+
+
+def with_shifted_dead_zone(objective: Objective, shift: float) -> Objective:
+    """Return an objective whose tests have another dead zone, larger by a shift in the command's unit."""
+    return objective.with_data(objective.batch.with_dead_zones(objective.batch.dead_zone + shift))
 
 
 def welch_satterthwaite(variances: np.ndarray, degrees: np.ndarray) -> np.ndarray:

@@ -276,7 +276,7 @@ def _half_widths(
     finite = np.all(np.isfinite(gradient), axis=0) & np.isfinite(dead_zone_effect)
     gradient, dead_zone_effect = np.where(finite, gradient, 0.0), np.where(finite, dead_zone_effect, 0.0)
     by_test = influence.by_test @ gradient
-    test_degrees = influence.combination_degrees(gradient)
+    test_degrees = influence.scores.degrees_of_freedom(gradient[influence.free])
     variances, degrees = with_dead_zone(by_test, dead_zone_effect, test_degrees, dead_zone_error)
     widths = np.array([t_quantile(float(degree)) for degree in degrees]) * np.sqrt(variances)
     return np.where(finite, widths, np.inf)
