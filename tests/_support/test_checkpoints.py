@@ -123,7 +123,7 @@ def kept_arrays(size=4):
 
 
 @pytest.mark.parametrize("arrays", MISFITS.values(), ids=MISFITS)
-def test_arrays_that_are_not_those_of_the_task_are_computed_anew(tmp_path, arrays):
+def test_arrays_of_another_task_are_computed_anew(tmp_path, arrays):
     kept = Checkpoints(tmp_path / "run")
     forged = {name: array for name, array in {**kept_arrays(), **arrays}.items() if array is not None}
     kept.cached_arrays("search", Work(forged))
@@ -189,7 +189,7 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE.keys())
-def test_a_piece_that_is_not_whole_is_done_again_and_replaced(tmp_path, damage):
+def test_a_damaged_piece_is_done_again_and_replaced(tmp_path, damage):
     kept, work = Checkpoints(tmp_path / "run"), Work()
     kept.cached_arrays("search", work)
     (path,) = files(tmp_path)
@@ -305,7 +305,7 @@ def test_a_full_disk_leaves_what_was_kept(tmp_path, monkeypatch):
     assert_bits(dict(kept.cached_arrays("training", Work())), ARRAYS)
 
 
-def test_a_part_that_fails_is_left_out_unless_the_disk_is_full():
+def test_a_failed_part_is_left_out_a_full_disk_raises():
     def full():
         raise OutputError("No space left")
 

@@ -46,7 +46,7 @@ def test_every_number_is_read_back_as_the_same_number(values):
 
 
 @given(st.lists(st.text(min_size=1), min_size=1))
-def test_every_text_is_read_back_as_shown_or_marked_as_no_formula(texts):
+def test_a_text_is_read_back_as_shown_or_marked(texts):
     table = DataTable.of_columns("t", {"log": texts, "value": [1] * len(texts)})
     for (cell, _), text in zip(read(table)[1:], texts, strict=True):
         assert cell in (printable(text), f"'{printable(text)}")
@@ -70,7 +70,7 @@ def test_shorter_columns_end_with_empty_cells():
     assert table.rows == ((1, 0.5), (2, None), (3, None))
 
 
-def test_tables_of_one_name_stand_below_each_other_with_their_origin():
+def test_tables_of_one_name_are_stacked_with_their_origin():
     first = DataTable("t", ("x",), ((1,), (2,)))
     second = DataTable("t", ("x", "y"), ((3, 4),))
     (table,) = stacked({"A": {"t": first}, "B": {"t": second}}, "model").values()

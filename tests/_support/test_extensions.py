@@ -47,7 +47,7 @@ def test_a_registered_part_stands_behind_the_own_ones(folder: Path):
         ("twice = words_pack:first", "'first' is taken"),
     ],
 )
-def test_a_part_that_does_not_fit_is_refused_with_its_package(folder: Path, entry: str, named: str):
+def test_a_part_that_does_not_fit_names_its_package(folder: Path, entry: str, named: str):
     install(folder, entry)
     with pytest.raises(InputError) as caught:
         words()

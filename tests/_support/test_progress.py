@@ -88,7 +88,7 @@ def test_a_falling_figure_is_drawn_falling():
     assert heights == sorted(heights, reverse=True)
 
 
-def test_figures_of_a_stage_fit_80_columns_and_go_with_it():
+def test_figures_of_a_stage_fit_80_columns_and_go():
     curves = Curves()
     for number in range(50):
         figures = {"RMSE on levels held out / mm": 1.0 / (1 + number), "another": 2.0}
@@ -116,7 +116,7 @@ def test_works_at_the_same_time_have_each_its_curves():
     assert curves.__rich__().plain == ""
 
 
-def test_in_a_file_a_stage_is_a_line_and_its_end(capsys):
+def test_in_a_file_a_stage_has_two_lines(capsys):
     with progress() as report:
         for number in range(2):
             for name in ("lifting", "lowering"):
@@ -184,7 +184,7 @@ def test_in_a_script_only_a_function_gets_updates(capsys):
 
 
 @pytest.mark.parametrize("height", [24, 5])
-def test_on_a_terminal_the_figures_are_drawn_and_taken_away_again(monkeypatch, height):
+def test_on_a_terminal_figures_are_drawn_and_taken_away(monkeypatch, height):
     """On a terminal of any height; what is left on it at the end is nothing."""
     screen = StringIO()
     screen.isatty = lambda: True

@@ -101,7 +101,7 @@ def test_a_folder_appears_with_what_was_written(tmp_path, before):
     ]
 
 
-def test_a_folder_that_is_there_is_replaced_whole_and_only_by_force(tmp_path):
+def test_a_folder_is_replaced_whole_and_only_by_force(tmp_path):
     folder = tmp_path / "a"
     write_result(folder, fill("old"))
     with pytest.raises(OutputError, match=r"a: exists already.*--force"):
@@ -160,7 +160,7 @@ def test_what_is_put_there_during_the_work_stays(tmp_path):
     assert left_in(tmp_path) == ["a", f"a/{MANIFEST_FILE}", "a/mark.json", "a/notes.txt"]
 
 
-def test_what_a_link_points_to_is_replaced_and_the_link_stays(tmp_path):
+def test_the_target_of_a_link_is_replaced_the_link_stays(tmp_path):
     write_result(tmp_path / "a", fill("old"))
     (tmp_path / "link").symlink_to(tmp_path / "a")
     write_result(tmp_path / "link", fill("new"), force=True)
@@ -251,7 +251,7 @@ def test_the_older_result_comes_back_where_the_new_one_cannot(tmp_path, monkeypa
     assert left_in(tmp_path) == ["a", f"a/{MANIFEST_FILE}", "a/mark.json"]
 
 
-def test_a_file_appears_with_what_was_written_and_keeps_its_ending(tmp_path):
+def test_a_file_appears_whole_and_keeps_its_ending(tmp_path):
     seen = []
     path = tmp_path / "deep" / "log.csv.gz"
     write_file(path, lambda fresh: (seen.append(fresh.name), fresh.write_text("new"))[0], force=False)
@@ -291,7 +291,7 @@ def test_leftovers_of_killed_writers_are_removed(tmp_path, name):
     assert {path.name for path in tmp_path.iterdir()} == {mine.name, name}
 
 
-def test_a_writer_leaves_alone_what_another_one_of_its_target_writes(tmp_path):
+def test_a_writer_leaves_another_writer_of_its_target_alone(tmp_path):
     def slow(path):
         write_text(tmp_path / "a", "first", force=True)
         path.write_text("second")
@@ -314,7 +314,7 @@ def test_a_result_within_a_result_is_written(tmp_path):
 
 
 @pytest.mark.parametrize("number", [errno.EROFS, errno.ENOSPC, errno.EACCES])
-def test_a_place_that_cannot_be_written_is_refused_before_any_work(tmp_path, monkeypatch, number):
+def test_an_unwritable_place_is_refused_before_any_work(tmp_path, monkeypatch, number):
     def refuse(*_, dir):
         assert dir == tmp_path
         raise OSError(number, os.strerror(number))

@@ -81,7 +81,7 @@ def test_values_are_compared_by_content(one, other, equal):
     assert same(other, one) is equal
 
 
-def test_an_error_of_a_log_keeps_its_place_in_a_copy():
+def test_a_copied_error_of_a_log_keeps_its_place():
     error = LogError("a.csv", "broken", line=3, column="x")
     again = pickle.loads(pickle.dumps(error))
     assert str(again) == str(error) == "a.csv: line 3: column 'x': broken"

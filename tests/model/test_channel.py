@@ -27,7 +27,7 @@ def run(rows):
     return np.asarray(rows)[0, :SAMPLES]
 
 
-def test_an_echo_that_is_measured_is_what_one_step_ahead_predicts(record):
+def test_a_measured_echo_is_what_one_step_ahead_predicts(record):
     """Where the model is right there is no difference between hearing itself and hearing what is measured."""
     model = channel(LIFTING, "integrator-first-order", compensated=True)
     echo = run(model.simulate_closed_loop(model.batch([record], [100.0])))
@@ -71,7 +71,7 @@ def test_each_compensator_leaves_what_the_other_is_for_alone(record):
         np.testing.assert_array_equal(silent.simulate_closed_loop(batch), benchmark)
 
 
-def test_the_compensator_for_free_run_does_not_pass_the_end_stop(record):
+def test_the_compensator_for_free_run_keeps_to_the_end_stop(record):
     model = channel(LIFTING, "integrator-first-order", free_run=True, end_stop=105.0)
     computed = run(model.simulate(model.batch([record], [100.0])))
     assert computed.max() == 105.0

@@ -156,7 +156,7 @@ FAST = [
     [*((LIFTING, options) for options in FAST), (LOWERING, FAST[-1])],
     ids=str,
 )
-def test_a_test_of_one_direction_moves_as_its_fast_form_says(record_of, mode, options):
+def test_a_test_of_one_direction_moves_as_its_fast_form(record_of, mode, options):
     options = dict(options)
     if "end_stop" in options:
         options["end_stop"] = options["end_stop"][mode]
@@ -269,7 +269,7 @@ def test_with_both_valves_on_the_piston_falls(before):
 
 
 @pytest.mark.parametrize("late_samples", [1, 6])
-def test_a_reversal_within_the_dead_time_plays_out_what_was_commanded(late_samples):
+def test_a_reversal_within_the_dead_time_plays_out_earlier_commands(late_samples):
     model = hitch_of(*(channel(mode, dead_time_s=late_samples * STEP_S) for mode in GAINS))
     commands = sequence((RISE, 2), (FALL, 8), (RISE, 3), (REST, 10))
     up, down = (shifted(effective, late_samples) for effective in SPEED * (commands > 0).T)
@@ -357,7 +357,7 @@ def test_the_speed_goes_on_where_the_mode_changes(structure):
 
 
 @pytest.mark.parametrize("structure", ["integrator", *SMOOTH])
-def test_a_hitch_that_has_come_to_rest_stays_where_it_is(structure):
+def test_a_hitch_at_rest_stays_where_it_is(structure):
     model = hitch_of(*(channel(mode, structure, compensated=True, free_run=True) for mode in GAINS))
     # Three seconds are more than 30 of the longest time constants, 80 ms: exp(−30) of 15 mm/s.
     simulated, _ = stepped(model, sequence((RISE, 50), (FALL, 20), (REST, 300 + 10_000)))
@@ -403,7 +403,7 @@ def test_no_end_stop_is_passed(structure, seed):
     assert simulated[-1] == pytest.approx(97.0, abs=rounding)
 
 
-def test_from_an_end_stop_or_near_it_the_other_mode_starts():
+def test_at_an_end_stop_or_near_the_other_mode_starts():
     structure = "integrator-second-order"
     stopped = channel(LIFTING, structure, end_stop=104.0)
     model = hitch_of(stopped, channel(LOWERING, structure))
@@ -512,7 +512,7 @@ def test_two_windows_after_a_gap_a_compensator_has_forgotten_it(gap):
     assert np.any(np.abs(simulated - expected)[40 + gap + 1 : back] > 1e-6)
 
 
-def test_a_step_within_a_program_of_the_users_is_the_same():
+def test_a_step_within_a_users_program_is_the_same():
     model = MODELS["everything"]
 
     @jax.jit
@@ -555,7 +555,7 @@ def test_a_packed_state_is_the_unpacked_one_and_left_alone(model):
         np.testing.assert_array_equal(ours, theirs)
 
 
-def test_a_model_of_one_channel_does_not_hear_the_other_command():
+def test_a_model_of_one_channel_ignores_the_other_command():
     model = hitch_of(channel(LOWERING, "integrator-second-order", compensated=True))
     commands = cycles(np.random.default_rng(8), 150)
     measured = [*[100.0] * 70, *[None] * 80]

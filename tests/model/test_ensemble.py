@@ -28,7 +28,7 @@ def cycle(make_record):
 
 
 @pytest.mark.parametrize(("coverage", "q"), [(0.5, 0.5), (0.9, 1.5), (0.85, 1.25)])
-def test_in_free_run_noise_and_both_channels_alternatives_add_in_squares(cycle, coverage, q):
+def test_in_free_run_noise_and_both_ensembles_add_in_squares(cycle, coverage, q):
     record, ways = cycle
     lower, upper = MODEL.simulate(record).band(coverage)
     floor = stats.norm.ppf(0.5 + coverage / 2) * NOISE

@@ -60,7 +60,7 @@ def test_without_nonlinearities_it_is_the_channels_response(direction):
     assert np.sign(model.to_scipy(direction, 0.01).C[0, 0]) == linear.sign == handmade.DIRECTIONS[direction]
 
 
-def test_the_continuous_model_has_the_dead_time_up_to_its_approximation():
+def test_the_continuous_model_has_the_approximated_dead_time():
     model = handmade.hitch("integrator-second-order", dead_time_s=DEAD_TIME_S)
     linear = model.linearise(LIFTING)
     slow = FREQUENCY_HZ[2 * np.pi * FREQUENCY_HZ * DEAD_TIME_S < 1]
@@ -127,7 +127,7 @@ def test_the_describing_function_is_the_fundamental_of_a_simulated_play():
     assert describing_function(play, play) == 0
 
 
-def test_a_sine_within_the_play_moves_nothing_a_large_one_all():
+def test_a_sine_within_the_play_moves_nothing():
     model = handmade.hitch_of(handmade.channel(LIFTING, "integrator-first-order", shape=True))
     linear = model.linearise(load=120.0)
     assert linear.play > 0

@@ -181,7 +181,7 @@ def test_a_million_samples_with_gaps_leave_a_definite_covariance():
 
 @pytest.mark.parametrize("every", [1, 7, SAMPLES])
 @double_precision
-def test_estimates_at_every_mth_sample_are_those_of_all_samples_there(every):
+def test_thinned_estimates_are_those_of_all_samples_there(every):
     benchmark, displacement = map(jnp.asarray, stroke())
     kalman = load_filter()
     for all_samples, some in zip(

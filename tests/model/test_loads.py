@@ -117,7 +117,7 @@ def run(load, samples, measured=()):
     return state, np.array(displacements)
 
 
-def test_without_measurements_the_displacement_is_the_mean_over_the_tests_loads():
+def test_without_measurements_displacement_is_the_mean_over_the_loads():
     # Uniform with the tests' standard deviation: E exp(a z) = sinh(√3 a)/(√3 a). The midpoint rule over 128
     # loads is off by (√3 a)²/(6·128²).
     _, at_mean = run({"oil": CENTRE}, 60)

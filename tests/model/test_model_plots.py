@@ -62,7 +62,7 @@ def test_without_arguments_every_direction_has_its_levels_load_and_title():
     assert [axes.get_title(loc="left") for axes in model.plot()] == titles
 
 
-def test_a_model_without_intervals_shows_the_speed_that_its_parameters_give():
+def test_a_model_without_intervals_shows_the_speed_of_its_parameters():
     model = handmade.hitch("integrator-first-order", covered=handmade.envelope(command=(0.0, 0.6)))
     for axes, direction in zip(model.plot(axes_of(2)), model.channels, strict=True):
         zone, gain = handmade.DEAD_ZONES[direction], handmade.GAINS[direction]

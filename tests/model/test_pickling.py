@@ -114,14 +114,14 @@ def test_one_sample_or_number_makes_the_difference(record, campaign, model, vali
     assert len({record, moved, copy.deepcopy(record)}) == 2
 
 
-def test_a_model_read_from_disk_equals_the_one_that_was_saved(model, tmp_path):
+def test_a_model_read_from_disk_equals_the_saved_one(model, tmp_path):
     hitchid.save(model, tmp_path / "model")
     loaded = hitchid.load(tmp_path / "model")
     assert loaded == model
     assert hash(loaded) == hash(model)
 
 
-def test_a_model_that_has_worked_can_be_copied_without_double_precision(record):
+def test_a_model_that_worked_is_copied_without_double_precision(record):
     worker = hitch("integrator-first-order")
     simulated = worker.simulate(record)  # leaves compiled functions with the model
     with jax.enable_x64(False):

@@ -90,14 +90,14 @@ def test_commands_displacements_and_loads_broadcast():
     assert CURVED.speed(0.9).speed == CURVED.speed(0.9, displacement=100.0, load=120.0).speed
 
 
-def test_the_band_is_that_of_the_speed_map_at_its_points():
+def test_at_its_points_the_band_is_the_speed_maps():
     model = with_map(curved(gain_by_pressure=0.3))
     steady = model.speed(np.array(LEVELS)[:, None], load=np.array(LOADS))
     np.testing.assert_allclose(steady.band.lower, 0.9 * steady.speed, rtol=1e-12)
     np.testing.assert_allclose(steady.band.upper, 1.2 * steady.speed, rtol=1e-12)
 
 
-def test_the_band_ends_at_the_dead_zone_and_stays_beyond_the_map():
+def test_the_band_ends_at_the_dead_zone_and_stays_beyond():
     model = with_map(curved())
     steady = model.speed([0.1, 0.3, 0.34, 0.45, 0.7, 3.0])
     np.testing.assert_allclose(steady.band.upper[:2], 0.0, atol=0)
@@ -143,9 +143,7 @@ def test_a_lowering_band_has_its_smaller_end_first():
     displacement=st.floats(20.0, 180.0),
     shares=st.lists(st.floats(1e-3, 1.0), min_size=1, max_size=9),
 )
-def test_the_speed_at_the_command_for_a_speed_is_that_speed(
-    opening, exponent, saturation, load, displacement, shares
-):
+def test_the_command_for_a_speed_gives_that_speed(opening, exponent, saturation, load, displacement, shares):
     model = curved(
         opening=opening,
         exponent=exponent,
@@ -208,7 +206,7 @@ def test_what_has_no_inverse_is_refused():
         curved(opening=0.9, opening_by_pressure=0.3).inverse_table(load=180.0)
 
 
-def test_a_table_is_written_with_units_and_never_over_a_file(tmp_path):
+def test_a_table_is_written_with_units_over_no_file(tmp_path):
     table = COVERED.inverse_table(LOWERING)
     path = tmp_path / "tables" / "lowering.csv"
     table.to_csv(path)

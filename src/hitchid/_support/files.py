@@ -124,6 +124,7 @@ def write_folder(folder: Path, write: Callable[[Path], None], *, result_kind: st
             # Contents reach the disk before the name does: after a power cut no result is empty.
             fsync(*temporary.rglob("*"), temporary)
             check_folder(folder, result_kind=result_kind, force=force)  # it may exist by now
+            # The older result stays beside until the new one has its name: one of them is whole at any time.
             backup = temporary.with_name(f"{temporary.name}-older")
             if target.exists():
                 target.rename(backup)

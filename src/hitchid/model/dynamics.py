@@ -190,6 +190,7 @@ class HitchDynamics(eqx.Module):
             )
         # After the takeover: the variance of the last filter goes over into the new one.
         next_state = self._start_filter(next_state, state.mode)
+        # Features begin anew with a channel, and with the first measurement: before it there is no error.
         reset = (mode != state.mode) | (is_measured & (state.samples_since_measurement < 0))
         return next_state, reset, demands
 
@@ -339,6 +340,7 @@ class HitchDynamics(eqx.Module):
     def _speed(self, mode: Int[Array, ""], state: HitchState) -> Float[Array, ""]:
         """Return the speed of the piston; zero at an end stop or a limit of the plant."""
         speed = jnp.zeros(())
+        # At a stop the piston stands, though the benchmark, which is not clipped there, goes on beyond it.
         inside = self.within_end_stops(state, state.benchmark) == state.benchmark
         limits = self.channels[0].limits
         if limits is not None:
@@ -379,10 +381,12 @@ class HitchDynamics(eqx.Module):
         in_charge = state.mode == number
         plant, increment = discrete_model.advance(channel_state.plant, channel_state.valve, state.benchmark)
         increment = jnp.where(in_charge, increment, 0.0)
+        # Before the first motion time runs for all, as from the first sample of a test in the fast form.
         is_active = in_charge | (state.mode == STANDING)
         correction, factor = self._correct_speed(number, channel_state, is_active, increment, state)
         next_channel_state = ChannelState(
             channel_state.valve,
+            # The linear dynamics of the others are at rest; only their valves follow the command.
             jnp.where(in_charge, plant, channel_state.plant),
             channel_state.samples_in_charge + is_active,
             correction,
@@ -390,6 +394,7 @@ class HitchDynamics(eqx.Module):
         )
         return state._replace(
             benchmark=state.benchmark + increment,
+            # A factor on the movement, so that no network moves a piston that stands.
             free_run=state.free_run + factor * increment,
             channels=_replace_item(state.channels, number, next_channel_state),
         )

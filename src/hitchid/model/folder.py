@@ -184,6 +184,7 @@ def load(folder: str | Path) -> Hitch:
     with _refused(path / WEIGHTS_FILE):
         tensors = load_tensors(weights)
         hitch = read_hitch(described, tensors)
+        # An array that nothing reads is none that `save` wrote.
         check_known(tensors, deployed_tensors(hitch))
     # Name and day are those of the folder and no part of the model: a copy of it is the same model.
     written = datetime.fromtimestamp((path / MODEL_FILE).stat().st_mtime, UTC)

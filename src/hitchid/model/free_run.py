@@ -133,6 +133,7 @@ def commands_of(record: Record) -> Float[np.ndarray, "n 2"]:
 
 def numbers_as_arrays(dynamics: HitchDynamics) -> HitchDynamics:
     """Return dynamics whose numbers are inputs of compiled functions: models of like structure share them."""
+    # Were they constants of the program, each machine of a fleet would compile its own.
     return jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, dynamics)
 
 
@@ -295,6 +296,7 @@ def ensemble_members(dynamics: HitchDynamics, bands: Sequence[Bands]) -> list[Hi
     members = []
     for number, (channel, channel_bands) in enumerate(zip(dynamics.channels, bands, strict=True)):
         for member in channel_bands.ensemble:
+            # One channel at a time: the squares of their deviations add.
             channels = list(dynamics.channels)
             channels[number] = perturbed_channel(channel, member)
             perturbed = HitchDynamics.of(channels, dynamics.step_s, dynamics.drift)

@@ -347,6 +347,7 @@ class Hitch(Value, Summarised, Handover):
             InputError: `folder` is not a path.
             OutputError: the folder exists, or cannot be written.
         """
+        # Here, since the module of the folder needs this one.
         from hitchid.model.folder import save
 
         save(self, folder, force=force)
@@ -441,6 +442,7 @@ class Hitch(Value, Summarised, Handover):
     def _functions_of(self, state: Packed) -> StepFunctions:
         """Return the functions that a state is of; raises InputError where it is not of this model."""
         checks.instance(state, Packed, "state", STATE_REQUIRED)
+        # By shapes alone, as a state may be traced. Without covariates there is no hitch at many loads.
         at_many_loads = np.ndim(state.hidden) == LOAD_BANK_NDIM and covariates_of(self.channels.values())
         functions = self._load_bank_functions if at_many_loads else self._step_functions
         if not functions.accepts(state):

@@ -41,6 +41,7 @@ def plot_speed_map(model: "Hitch", axes: "Axes | Sequence[Axes] | np.ndarray | N
     Raises:
         InputError: another number of axes is given, or a channel has no steady speed.
     """
+    # matplotlib is imported where something is drawn: a model that is loaded and stepped needs none.
     from hitchid.plots import draw_dead_zone
     from hitchid.plots.style import canvas
 

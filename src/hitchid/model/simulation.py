@@ -65,6 +65,7 @@ def to_model_units(
     # Clocks that hardly part are taken for one: interpolation would smooth what was measured.
     shift_s = abs(converted.step_s - step_s) * len(converted)
     resampled = converted if shift_s <= MAX_CLOCK_SHIFT * step_s else converted.resample(step_s)
+    # A command without a channel may be logged, but must not be effective.
     scales = full_scales([record])
     for direction in record.directions:
         active = np.abs(record.command(direction)) > ACTIVE_FRACTION * scales[direction]

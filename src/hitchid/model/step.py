@@ -313,6 +313,7 @@ def join_inputs(
     ):
         return np.array([*commands.tolist(), measured])  # as a loop has them; a tenth of the time of the rest
     values = commands if isinstance(commands, Sequence) else (commands,)
+    # Traced values only JAX can join.
     xp = jnp if any(isinstance(value, jax.Array) for value in (*values, measured)) else np
     try:
         command_array, measured_array = xp.asarray(commands), xp.asarray(measured)

@@ -93,6 +93,7 @@ def sensor_noise(errors: Sequence[np.ndarray]) -> float:
     of a smooth signal is close to zero.
     """
     deviations = [np.sqrt(np.mean(np.diff(error, 3) ** 2) / 20) for error in errors if error.size > 3]
+    # The median, which one broken test does not move far.
     return float(np.median(deviations)) if deviations else 0.0
 
 

@@ -178,6 +178,7 @@ def information_of(objective: Objective, position: np.ndarray, influence: Influe
     curvature = objective.equations_by_test(position).curvatures.sum(axis=0)[np.ix_(free, free)]
     covariance = (influence.by_test.T @ influence.by_test)[np.ix_(free, free)]
     counts = np.bincount(test)
+    # A covariance for each lag of a long test at a high rate would be as long as the test.
     block_size = max(1, int(counts.max()) // LAGS)
     from_dead_zone = np.outer(influence.by_dead_zone[free], influence.by_dead_zone[free])
     return Information(
@@ -233,6 +234,7 @@ def standard_errors_with(
     blocks = -(-samples // information.block_size)
     padded = np.pad(jacobian, ((0, blocks * information.block_size - samples), (0, 0)))
     means = padded.reshape(blocks, information.block_size, -1).sum(axis=1)
+    # Errors farther apart than any in the tests so far count as independent.
     covariance = toeplitz(np.resize(np.append(information.autocovariance, np.zeros(blocks)), blocks))
     share = information.samples / samples
     return _standard_errors(

@@ -130,6 +130,7 @@ def scatter_of(contrasts: Contrasts, names: Sequence[str]) -> LoadScatter:
         )
     variances = scatter**2 * (1 - directions**2 @ precision)
     half_widths = t.ppf(0.5 + 0.5 * LEVEL, values.size) * np.sqrt(variances)
+    # No load makes a piston run backward.
     lower, upper = np.maximum(predictions - half_widths, STANDSTILL), predictions + half_widths
     rows = zip(names, predictions.tolist(), zip(lower.tolist(), upper.tolist(), strict=True), strict=True)
     tests = tuple(LoadOfTest(*row) for row in rows)

@@ -222,6 +222,7 @@ def over_values_of(other: ParameterResult, result: ParameterResult, step: float)
         return result
     coordinates = curve.positions[:, result.number]
     at_bound = 0 if other.bound == "lower" else -1
+    # With zero among them, so that an interval is widened and never narrowed.
     shifts = np.append(coordinates[curve.allowed] - coordinates[at_bound], 0.0)
     unbounded = coordinates[at_bound] + step
     ends = (

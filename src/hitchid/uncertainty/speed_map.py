@@ -317,6 +317,7 @@ def _evaluate(objective: Objective, positions: np.ndarray, points: _Points) -> F
     structure, rows = objective.spec.structure.require_linear(), []
     count = points.levels.size
     padding = (0, -count % MAX_LEVELS)
+    # A program for each number of command levels would take half a second to compile.
     padded_points = points._replace(
         levels=jnp.asarray(np.pad(points.levels, padding, mode="edge")),
         loads=jnp.asarray(np.pad(points.loads, (padding, (0, 0)), mode="edge")),
