@@ -69,7 +69,12 @@ def test_without_bands_for_a_channel_there_is_none(cycle):
         hitch().simulate(cycle[0]).band()
 
 
-@pytest.mark.parametrize("coverage", [0.4, 0.99, float("nan")])
+@pytest.mark.parametrize("coverage", [0.49, 0.96, 95.0, float("nan")])
 def test_a_share_that_was_not_calibrated_is_refused(cycle, coverage):
-    with pytest.raises(InputError, match=r"coverage: expected (between 0\.5 and 0\.95|a finite number), got"):
-        MODEL.simulate(cycle[0]).band(coverage)
+    run, complaint = (
+        MODEL.simulate(cycle[0]),
+        r"coverage: expected (between 0\.5 and 0\.95|a finite number), got",
+    )
+    for band in (run.band, lambda share: MODEL.band(cycle[0], horizon=1, coverage=share)):
+        with pytest.raises(InputError, match=complaint):
+            band(coverage)

@@ -16,8 +16,8 @@ from hitchid.uncertainty.scores import (
     MIN_EIGENVALUE,
     DeadZoneError,
     Scores,
+    combined_variance,
     t_quantile,
-    with_dead_zone,
     with_shifted_dead_zone,
 )
 
@@ -104,7 +104,7 @@ def compute_influence(
     shifted_estimates = _shifted_estimates(objective, position, free, dead_zone)
     by_dead_zone = 0.5 * (shifted_estimates[0] - shifted_estimates[1])[free]
     test_degrees = scores[0].degrees_of_freedom()
-    _, degrees = with_dead_zone(by_test, by_dead_zone, test_degrees, dead_zone)
+    _, degrees = combined_variance(by_test, by_dead_zone, test_degrees, dead_zone)
 
     def expand(rows: np.ndarray) -> np.ndarray:
         expanded = np.zeros((*rows.shape[:-1], position.size))

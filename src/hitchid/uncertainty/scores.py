@@ -48,7 +48,7 @@ def welch_satterthwaite(variances: np.ndarray, degrees: np.ndarray) -> np.ndarra
     return np.asarray(np.maximum(degrees, 1.0))
 
 
-def with_dead_zone(
+def combined_variance(
     by_test: Float[np.ndarray, "t q"],
     by_dead_zone: Float[np.ndarray, " q"],
     test_degrees: Float[np.ndarray, " q"],

@@ -24,7 +24,7 @@ from hitchid.structures import Batch, ModelSpec, PhysicalModel, Scales, opening_
 from hitchid.uncertainty.influence import Influence
 from hitchid.uncertainty.profile import MIN_PACE, Profile
 from hitchid.uncertainty.profile import STEP as EDGE
-from hitchid.uncertainty.scores import DeadZoneError, t_quantile, with_dead_zone
+from hitchid.uncertainty.scores import DeadZoneError, combined_variance, t_quantile
 
 # Operating points of the tests: command levels, loads, and speeds measured at constant command.
 
@@ -277,7 +277,7 @@ def _half_widths(
     gradient, dead_zone_effect = np.where(finite, gradient, 0.0), np.where(finite, dead_zone_effect, 0.0)
     by_test = influence.by_test @ gradient
     test_degrees = influence.scores.degrees_of_freedom(gradient[influence.free])
-    variances, degrees = with_dead_zone(by_test, dead_zone_effect, test_degrees, dead_zone_error)
+    variances, degrees = combined_variance(by_test, dead_zone_effect, test_degrees, dead_zone_error)
     widths = np.array([t_quantile(float(degree)) for degree in degrees]) * np.sqrt(variances)
     return np.where(finite, widths, np.inf)
 
