@@ -96,7 +96,6 @@ def multi_step_errors(
 
     first = jax.tree.map(lambda array: array[0], test)
     _, measured = jax.lax.scan(advance_measured, compensator.init_state(first), (test, trust))
-    # Only from here on origins differ: what was measured before each of them is the same pass.
     states, innovations = jax.tree.map(lambda values: values[::every], measured)
 
     # From each origin the compensator hears the error that it predicts itself, sample by sample.

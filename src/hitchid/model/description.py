@@ -146,6 +146,7 @@ def describe_channel(channel: Channel) -> dict[str, object]:
             "window": compensator.window,
             "max_horizon": compensator.max_horizon,
             "hidden": compensator.network.cell.hidden_size,
+            # By name, so that a version with other features refuses the model.
             "features": list(COMPENSATOR_FEATURES),
         },
         "speed_compensator": None
@@ -239,6 +240,7 @@ def _read_compensator(
         return None
     check_size(tensors, described.hidden**2)
     count = len(COMPENSATOR_FEATURES)
+    # Any weights of the right shapes: the stored ones replace them.
     skeleton = Compensator(
         Lstm.init(jax.random.key(0), count, described.hidden),
         jnp.zeros(count),

@@ -309,15 +309,13 @@ class Hitch(Value, Summarised, Handover):
         initial = simulation.condition_before_motion(model_record, self.channels)
         (predicted,) = multi_step_predictions(self.dynamics, model_record, initial, (horizon,), 1)
         movement = predicted - last_measured(model_record.displacement, float(initial.displacement), horizon)
-        half_widths = np.stack([each.half_width(coverage, horizon, movement) for each in bands])
-        # Which channel is in charge follows from the commands alone.
+        half_widths = np.stack([own.half_width(coverage, horizon, movement) for own in bands])
+        # From the commands alone; before the first effective one no channel is in charge: the widest band.
         active_channel = self.simulate(record).run.active_channel
         by_channel = np.take_along_axis(half_widths, np.maximum(active_channel, 0)[None], axis=0)[0]
-        # Before any command is effective none is: the widest band of all.
-        half_width = np.where(active_channel < 0, half_widths.max(axis=0), by_channel)
+        rows = predicted, np.where(active_channel < 0, half_widths.max(axis=0), by_channel)
         centre, half_width = (
-            simulation.to_record_units(row, self.units, model_record, record)
-            for row in (predicted, half_width)
+            simulation.to_record_units(row, self.units, model_record, record) for row in rows
         )
         return Band(centre - half_width, centre + half_width)
 
@@ -347,7 +345,6 @@ class Hitch(Value, Summarised, Handover):
             InputError: `folder` is not a path.
             OutputError: the folder exists, or cannot be written.
         """
-        # Here, since the module of the folder needs this one.
         from hitchid.model.folder import save
 
         save(self, folder, force=force)

@@ -50,6 +50,7 @@ def record_or_commands(
     if isinstance(value, str | Path):
         return required_record(value)
     if isinstance(value, Frame):
+        # Columns named as commands, or a sampling time beside the table: then it has no clock of its own.
         has_commands = {COMMAND[direction] for direction in directions} <= set(value.columns)
         return value if has_commands or step_s is not None else required_record(value)
     if isinstance(value, Value) and not isinstance(value, Record):

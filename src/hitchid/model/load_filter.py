@@ -134,6 +134,7 @@ class LoadFilter(eqx.Module):
         variance = jnp.maximum(seen[OFFSET] + seen[TRANSIENT] + self.noise**2, LOAD_TINY)
         expected = entries.mean[OFFSET] + entries.mean[TRANSIENT]
         is_jump = (error - expected) ** 2 > LOAD_JUMP**2 * variance
+        # The offset takes all of a jump, load and transient nothing.
         at_jump = (1.0, 0.0, 0.0)
         offset, load, transient = gain = tuple(
             jnp.where(is_jump, jump, part / variance) for jump, part in zip(at_jump, seen, strict=True)
@@ -167,6 +168,7 @@ class LoadFilter(eqx.Module):
         """Return the estimate at the next sample; see `advance`."""
         transient_kept = jnp.exp(-step_s / self.transient_time)
         transition = [[1.0, increment, 0.0], [0.0, load_kept, 0.0], [0.0, 0.0, transient_kept]]
+        # What load and transient forget their disturbances add again: the scatter of each stays as it is.
         disturbances = [
             self.drift**2 * step_s,
             (1 - load_kept**2) * self.load_scatter**2,
@@ -193,6 +195,7 @@ class LoadFilter(eqx.Module):
         """
         increments = jnp.diff(benchmark, axis=0, append=benchmark[-1:])
 
+        # Estimates are kept at the first sample of each block; what pads the last one comes after that.
         def in_blocks(rows: Array) -> Array:
             padded = jnp.pad(rows, ((0, -len(rows) % every), *((0, 0),) * (rows.ndim - 1)))
             return padded.reshape(-1, every, *rows.shape[1:])

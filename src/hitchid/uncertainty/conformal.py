@@ -54,6 +54,7 @@ def conformal_quantile(scores: Sequence[np.ndarray], level: float) -> float:
     # One test has no others to compare it with.
     if len(rows) == 1:
         return float(rows.max())
+    # As many grid values of each test: all weigh the same, however long they are.
     order = np.argsort(rows, axis=None)
     sorted_rows, test_indices = rows.ravel()[order], order // GRID.size
     others = np.stack([sorted_rows[test_indices != test] for test in range(len(rows))])

@@ -130,11 +130,9 @@ def assess(
     # A parameter at a bound is held exactly there for the intervals of the others.
     position = np.where([not result.bound for result in results], position, np.round(position))
     # A saturation far above every command, say, changes nothing: it has no standard error, and is fixed.
-    derivative_norms = np.sqrt(np.einsum("tdd->d", objective.equations_by_test(position).curvatures))
-    results = [
-        replace(result, insensitive=bool(norm < MIN_RELATIVE_DERIVATIVE * derivative_norms.max()))
-        for result, norm in zip(results, derivative_norms, strict=True)
-    ]
+    norms = np.sqrt(np.einsum("tdd->d", objective.equations_by_test(position).curvatures))
+    insensitive = (norms < MIN_RELATIVE_DERIVATIVE * norms.max()).tolist()
+    results = [replace(result, insensitive=none) for result, none in zip(results, insensitive, strict=True)]
     free = np.array([not (result.bound or result.insensitive) for result in results])
     parts = split_progress(progress, ASSESSMENT_SHARES)
     parts["standard errors"](ProgressUpdate("standard errors of the parameters", 0.0))

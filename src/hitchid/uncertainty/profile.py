@@ -77,35 +77,12 @@ def profile(
         points.append(_ProfilePoint.evaluate(objectives, fitted_position, number, dead_zone, best_errors))
         return points[-1]
 
-    def interval_end(bound: float) -> float | None:
-        """Return the end of the interval toward a bound; None where the bound is not rejected."""
-        inside, start, width = float(position[number]), position, FIRST_STEP
-        sign, outside = np.sign(bound - inside), None
-        # Ever longer steps until one is rejected, then halving; each starts where the one before ended.
-        while outside is None and inside != bound:
-            coordinate = float(np.clip(inside + sign * width, 0.0, 1.0))
-            point = fit_at(coordinate, start)
-            start, width = point.position, 2 * width
-            inside, outside = (inside, coordinate) if point.excess > 1 else (coordinate, None)
-        if outside is None:
-            return None
-        for _ in range(BISECTION_STEPS):
-            middle = 0.5 * (inside + outside)
-            point = fit_at(middle, start)
-            start = point.position
-            inside, outside = (inside, middle) if point.excess > 1 else (middle, outside)
-        return outside
-
     # The estimate itself counts as allowed, whatever slope the end of the search has left.
     best = replace(fit_at(float(position[number]), position), excess=0.0)
-    lower, upper = interval_end(0.0), interval_end(1.0)
+    lower, upper = (_interval_end(fit_at, position, number, bound) for bound in (0.0, 1.0))
     # A bound given in the settings is prior knowledge, and closes the interval.
     if objective.spec.parameters[number].name in objective.spec.bounds:
         lower, upper = lower or 0.0, 1.0 if upper is None else upper
-    lower_bound, upper_bound, is_linear = (
-        array[number].item()
-        for array in (objective.bounds.lower, objective.bounds.upper, objective.bounds.linear)
-    )
     ordered = sorted([best, *points[1:]], key=lambda point: float(point.position[number]))
     return Profile(
         number,
@@ -115,8 +92,35 @@ def profile(
         fitness=np.array([point.fitness for point in ordered]),
         allowed=np.array([p.excess <= 1 or p.position[number] in (lower, upper) for p in ordered]),
         tangents=np.stack([point.tangent for point in ordered]),
-        search_range=1.0 if is_linear else float(np.log(upper_bound / lower_bound)),
+        search_range=_search_range(objective, number),
     )
+
+
+def _interval_end(
+    fit_at: "Callable[[float, np.ndarray], _ProfilePoint]", position: np.ndarray, number: int, bound: float
+) -> float | None:
+    """Return the end of the interval toward a bound; None where the bound is not rejected."""
+    inside, start, width = float(position[number]), position, FIRST_STEP
+    sign, outside = np.sign(bound - inside), None
+    # Ever longer steps until one is rejected, then halving; each starts where the one before ended.
+    while outside is None and inside != bound:
+        coordinate = float(np.clip(inside + sign * width, 0.0, 1.0))
+        point = fit_at(coordinate, start)
+        start, width = point.position, 2 * width
+        inside, outside = (inside, coordinate) if point.excess > 1 else (coordinate, None)
+    if outside is None:
+        return None
+    for _ in range(BISECTION_STEPS):
+        middle = 0.5 * (inside + outside)
+        point = fit_at(middle, start)
+        start = point.position
+        inside, outside = (inside, middle) if point.excess > 1 else (middle, outside)
+    return outside
+
+
+def _search_range(objective: Objective, number: int) -> float:
+    lower, upper = float(objective.bounds.lower[number]), float(objective.bounds.upper[number])
+    return 1.0 if bool(objective.bounds.linear[number]) else float(np.log(upper / lower))
 
 
 @dataclass(frozen=True)

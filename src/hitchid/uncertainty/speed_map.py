@@ -98,6 +98,7 @@ def measured_speeds(
             time_s = batch.step_s * (steady_samples - steady_samples[0])
             speed = np.polyfit(time_s, travel[row, steady_samples], 1)[0]
             sized_speeds.append((steady_samples.size, MeasuredSpeed(command, test_load, float(speed))))
+    # The more samples, the more certain is the slope.
     longest = sorted(sized_speeds, key=lambda entry: -entry[0])[:MAX_STRETCHES]
     return tuple(sorted((speed for _, speed in longest), key=lambda entry: entry.command))
 
