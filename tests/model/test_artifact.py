@@ -40,9 +40,9 @@ TRACE = {"lifting": {"fitness": [3.0, 1.5]}}
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    copied = tmp_path_factory.mktemp("models") / "model"
-    save(whole(), copied, trace=TRACE)
-    return copied
+    saved = tmp_path_factory.mktemp("models") / "model"
+    save(whole(), saved, trace=TRACE)
+    return saved
 
 
 def parts(model):
@@ -85,8 +85,7 @@ def test_saving_twice_gives_the_same_bytes(folder, tmp_path):
 
 
 def test_a_loaded_model_has_its_folders_name_and_date(folder, tmp_path):
-    copied = tmp_path / "arm-7"
-    shutil.copytree(folder, copied)
+    copied = shutil.copytree(folder, tmp_path / "arm-7")
     written = datetime(2025, 3, 31, 23, 59, 59, tzinfo=UTC).timestamp()
     os.utime(copied / "model.json", (written, written))
     provenance = load(copied).provenance
@@ -193,8 +192,7 @@ def test_a_description_of_no_model_is_refused_despite_its_digest(
 
 
 def test_a_model_without_its_rivals_is_the_same_model(folder, tmp_path):
-    copied = tmp_path / "model"
-    shutil.copytree(folder, copied)
+    copied = shutil.copytree(folder, tmp_path / "model")
     (copied / "rivals.json").unlink()
     assert load(copied).rivals == {}
     assert load(copied).provenance.digest == load(folder).provenance.digest
@@ -209,8 +207,7 @@ def test_the_weights_hold_only_what_is_deployed(folder):
 
 
 def test_only_a_model_is_replaced_and_only_by_force(folder, tmp_path):
-    copied = tmp_path / "model"
-    shutil.copytree(folder, copied)
+    copied = shutil.copytree(folder, tmp_path / "model")
     with pytest.raises(OutputError, match="exists already"):
         save(whole(), copied)
     save(hitch(), copied, force=True)

@@ -119,8 +119,8 @@ class LoadFilter(eqx.Module):
     def correct(self, estimate: ErrorEstimate, error: Float[Array, "*b"]) -> ErrorEstimate:
         """Return the estimate with a measured error.
 
-        An error that is farther from the expected one than `JUMP` standard deviations is not due to the load:
-        the sensor or the implement was moved. The offset then takes it at once, and the load stays.
+        An error that is farther from the expected one than `LOAD_JUMP` standard deviations is not due to the
+        load: the sensor or the implement was moved. The offset then takes it at once, and the load stays.
 
         The covariance is updated in Joseph form, (I − K h) P (I − K h)ᵀ + K r² Kᵀ, which stays symmetric and
         non-negative with rounding (Bucy & Joseph 1968, Filtering for Stochastic Processes, sec. 16.3).
