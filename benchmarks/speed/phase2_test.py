@@ -18,7 +18,7 @@ from hitchid.identification.phase2 import train_compensator
 from hitchid.identification.preparation import prepare
 from hitchid.logs import read
 from hitchid.logs.record import DIRECTIONS
-from hitchid.model.channel import ErrorPredictor, predict_errors
+from hitchid.model.channel import predict_errors
 from hitchid.model.load_filter import LoadFilter
 from hitchid.networks.error_compensator import Compensator, Sample, measured_features
 from hitchid.structures import Batch
@@ -82,8 +82,8 @@ def predicted_mm(compensator: Compensator, validation: ModelledTests) -> float:
     batch, benchmark = validation
     time_s = jnp.broadcast_to(batch.step_s * jnp.arange(benchmark.shape[1]), benchmark.shape)
     sample = Sample(time_s, batch.command, benchmark, batch.displacement)
-    predictor = ErrorPredictor(LoadFilter.none(), compensator)
-    errors = predict_errors(predictor, sample, jnp.ones_like(benchmark), (1,), batch.step_s)[0]
+    trust = jnp.ones_like(benchmark)
+    errors = predict_errors(LoadFilter.none(), compensator, sample, trust, (1,), batch.step_s)[0]
     peer = as_peer(validation)
     return rmse_mm(np.asarray(errors)[:, 1 : peer.command.shape[1]], peer)
 

@@ -40,7 +40,7 @@ def test_the_code_generator_is_chosen_where_that_was_tried(monkeypatch, set_by_u
     assert environment.get("XLA_FLAGS") == expected
 
 
-def test_the_installed_jaxlib_knows_the_flag_and_survives_cut_caches(tmp_path):
+def test_the_installed_jaxlib_knows_the_flag_survives_a_cut_cache(tmp_path):
     unset = ("XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR")
     environment = {name: value for name, value in os.environ.items() if name not in unset}
     environment["XDG_CACHE_HOME"] = str(tmp_path)

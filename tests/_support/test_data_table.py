@@ -54,7 +54,7 @@ def test_every_number_is_read_back_as_the_same_number(values):
 
 
 @given(st.lists(st.text(min_size=1), min_size=1))
-def test_texts_are_read_back_or_marked_as_no_formula(texts):
+def test_a_text_is_read_back_as_shown_or_marked(texts):
     table = DataTable.of_columns("t", {"log": texts, "value": [1] * len(texts)})
     for (cell, _), text in zip(read(table)[1:], texts, strict=True):
         assert cell in (printable(text), f"'{printable(text)}")

@@ -1,5 +1,7 @@
 """Error figures: closed forms, and what holds for all predictions."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,23 +10,23 @@ from hypothesis.extra.numpy import arrays
 from scipy import stats
 
 from hitchid._support.metrics import (
+    SIGNIFICANCE,
     better_on_held_out_tests,
     better_p_value,
     error_figures,
     holm,
     log_ratio_p_value,
     rmse_error,
-    significantly_better,
 )
 
 EPS = np.finfo(np.float64).eps
 
-# Whole numbers, so that differences and shifts are exact and only means and roots round.
+# Whole numbers, so that differences are exact and only means and roots round.
 whole = st.integers(-100, 100).map(float)
 
 
 @st.composite
-def measured_tests(draw, *, moving=True):
+def measured_tests(draw):
     """Draw one to four tests of 2 to 20 samples, at least one of which moves."""
     tests = draw(
         st.lists(
@@ -33,8 +35,7 @@ def measured_tests(draw, *, moving=True):
             max_size=4,
         )
     )
-    if moving:
-        tests[0][:2] = 0.0, 1.0
+    tests[0][:2] = 0.0, 1.0
     return tests
 
 
@@ -44,24 +45,18 @@ def measured_and_predicted(draw):
     return actual, [draw(arrays(np.float64, a.size, elements=whole)) for a in actual]
 
 
-@given(measured_tests())
-def test_a_perfect_prediction_has_no_error_and_a_perfect_fit(actual):
-    assert error_figures(actual, actual) == (0.0, 0.0, 1.0, 100.0, 0.0, 1.0)
-
-
-@given(measured_tests(), st.integers(-50, 50).map(float))
-def test_a_constant_offset_is_every_error_there_is(actual, offset):
-    figures = error_figures(actual, [a + offset for a in actual])
-    count = sum(a.size for a in actual)
-    spread = sum(float(np.sum((a - a.mean()) ** 2)) for a in actual)
-    assert figures.mae == figures.max_abs == abs(offset)
-    assert figures.rmse == pytest.approx(abs(offset), rel=4 * EPS)
-    # Sums of up to 80 terms, each rounded once, then a quotient and a root.
-    assert figures.r2 == pytest.approx(1 - count * offset**2 / spread, rel=200 * EPS, abs=200 * EPS)
-    assert figures.fit == pytest.approx(
-        100 * (1 - np.sqrt(count * offset**2 / spread)), rel=200 * EPS, abs=2e4 * EPS
-    )
-    assert figures.within_1 == (1.0 if abs(offset) < 1 else 0.0)
+@given(measured_and_predicted())
+def test_figures_are_those_of_their_definitions(pair):
+    figures, actual = error_figures(*pair), [rows.tolist() for rows in pair[0]]
+    errors = (np.concatenate(pair[1]) - np.concatenate(pair[0])).tolist()
+    squares = math.fsum(error**2 for error in errors)
+    spread = math.fsum((sample - math.fsum(rows) / len(rows)) ** 2 for rows in actual for sample in rows)
+    assert figures.rmse == pytest.approx(math.sqrt(squares / len(errors)), rel=1e-12)
+    assert figures.mae == pytest.approx(math.fsum(map(abs, errors)) / len(errors), rel=1e-12)
+    assert figures.r2 == pytest.approx(1 - squares / spread, rel=1e-12, abs=1e-12)
+    assert figures.fit == pytest.approx(100 * (1 - math.sqrt(squares / spread)), rel=1e-12, abs=1e-10)
+    assert figures.max_abs == max(map(abs, errors))
+    assert figures.within_1 == pytest.approx(sum(abs(error) < 1 for error in errors) / len(errors))
 
 
 def test_the_figures_of_a_hand_worked_example_come_out():
@@ -70,56 +65,12 @@ def test_the_figures_of_a_hand_worked_example_come_out():
     assert figures == (2.5, 1.75, 0.75, 50.0, 4.0, 0.5)
 
 
-@given(measured_and_predicted())
-def test_rmse_lies_between_mae_and_the_largest_error(pair):
-    figures = error_figures(*pair)
-    # At most 80 terms: their mean is off by no more than 80 rounding errors.
-    assert figures.mae * (1 - 100 * EPS) <= figures.rmse <= figures.max_abs * (1 + 100 * EPS)
-
-
-@given(measured_and_predicted(), st.integers(-100, 100).map(float))
-def test_where_zero_lies_does_not_matter(pair, shift):
-    actual, predicted = pair
-    here = error_figures(actual, predicted)
-    there = error_figures([a + shift for a in actual], [p + shift for p in predicted])
-    assert (here.rmse, here.mae, here.max_abs, here.within_1) == (
-        there.rmse,
-        there.mae,
-        there.max_abs,
-        there.within_1,
-    )
-    # The mean of 20 values up to 200 is off by 1e-12, the spread (at least ½) by 2·20·200 times that.
-    assert 1 - here.r2 == pytest.approx(1 - there.r2, rel=1e-7, abs=1e-7)
-    assert 100 - here.fit == pytest.approx(100 - there.fit, rel=1e-7, abs=1e-5)
-
-
-@given(measured_and_predicted(), st.randoms(use_true_random=False))
-def test_the_order_of_tests_does_not_matter(pair, random):
-    together = list(zip(*pair, strict=True))
-    random.shuffle(together)
-    actual, predicted = zip(*together, strict=True)
-    # The same terms in another order: 80 roundings of a sum.
-    assert error_figures(actual, predicted) == pytest.approx(error_figures(*pair), rel=1e-12, abs=1e-12)
-
-
-def test_tests_at_different_heights_do_not_lend_each_other_spread():
-    moved, predicted = np.array([0.0, 1.0, 2.0, 3.0]), np.array([0.0, 1.0, 2.0, 4.0])
-    low = error_figures([moved, moved], [predicted, predicted])
-    high = error_figures([moved, moved + 1024.0], [predicted, predicted + 1024.0])
-    assert low == high
-
-
 @pytest.mark.parametrize(("level", "samples"), [(0.0, 3), (0.1, 7), (-3.0, 100), (1e6 / 3, 7), (7e-3, 100)])
 def test_where_nothing_moved_r2_and_fit_are_zero(level, samples):
     actual = np.full(samples, level)
     figures = error_figures([actual], [actual + 2.0])
     assert figures.rmse == pytest.approx(2.0, rel=1e-9)  # level + 2 − level rounds at 3e5 to 6e-11
     assert (figures.r2, figures.fit) == (0.0, 0.0)
-
-
-def test_an_error_of_one_unit_is_not_below_one():
-    figures = error_figures([np.zeros(4)], [np.array([0.0, 0.999, 1.0, -1.0])])
-    assert figures.within_1 == 0.5
 
 
 def test_tests_and_predictions_must_be_as_many():
@@ -166,36 +117,12 @@ def test_more_comparisons_ask_for_a_smaller_p_value():
     assert not better_on_held_out_tests(errors, ones, comparisons=3)
 
 
-@given(
-    errors=st.lists(st.floats(0.01, 10.0), min_size=1, max_size=9),
-    power=st.integers(-20, 20),
-    seed=st.integers(0, 99),
-)
-def test_of_two_models_at_most_one_is_better(errors, power, seed):
-    rng = np.random.default_rng(seed)
+@given(errors=st.lists(st.floats(0.01, 10.0), min_size=2, max_size=9), seed=st.integers(0, 99))
+def test_of_a_typical_test_the_p_value_is_students(errors, seed):
     one = np.array(errors)
-    other = one * rng.uniform(0.5, 1.5, one.size)
-    is_better = better_on_held_out_tests(one, other)
-    assert not (is_better and better_on_held_out_tests(other, one))
-    assert not better_on_held_out_tests(one, one)
-    assert better_on_held_out_tests(2.0**power * one, 2.0**power * other) is is_better
-    # As many tests again, the same ones, take nothing back; nor do fewer comparisons.
-    assert better_on_held_out_tests(np.tile(one, 2), np.tile(other, 2)) or not is_better
-    assert is_better or not better_on_held_out_tests(one, other, comparisons=5)
-
-
-def test_of_five_models_alike_one_is_rarely_called_better():
-    """1000 choices tell a share of 10 % to 0.9 %, held to three of it."""
-    rng = np.random.default_rng(2)
-    any_better = [
-        any(
-            better_on_held_out_tests(*np.exp(0.3 * rng.standard_normal((2, 14))), comparisons=5)
-            for _ in range(5)
-        )
-        for _ in range(1000)
-    ]
-    # Bonferroni: at most 10 %, and close to it for comparisons that are independent.
-    assert 0.05 < np.mean(any_better) < 0.1 + 3 * 0.009
+    other = one * np.random.default_rng(seed).uniform(0.5, 1.5, one.size)
+    expected = stats.ttest_1samp(np.log(other / one), 0.0, alternative="greater").pvalue
+    assert log_ratio_p_value(one, other) == pytest.approx(expected, rel=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -219,8 +146,8 @@ def test_the_standard_error_is_what_campaigns_drawn_anew_show():
     draws = [[rng.standard_normal(20) for _ in range(16)] for _ in range(2000)]
     zeros = [np.zeros(20)] * 16
     figures = [np.sqrt(np.mean(np.square(draw))) for draw in draws]
-    estimated = np.sqrt(np.mean([rmse_error(zeros, draw) ** 2 for draw in draws]))
-    assert estimated == pytest.approx(np.std(figures), rel=0.08)
+    estimate = np.sqrt(np.mean([rmse_error(zeros, draw) ** 2 for draw in draws]))
+    assert estimate == pytest.approx(np.std(figures), rel=0.08)
 
 
 @pytest.mark.parametrize("tests", [3, 5, 20])
@@ -234,7 +161,8 @@ def test_of_models_alike_neither_surely_errs_less_but_by_chance(tests):
     called = 0
     for _ in range(500):
         one, other = np.exp(0.3 * rng.standard_normal((2, tests)))
-        called += significantly_better(one, other, samples) or significantly_better(other, one, samples)
+        p_values = better_p_value(one, other, samples), better_p_value(other, one, samples)
+        called += min(p_values) < SIGNIFICANCE
     assert called <= 0.09 * 500
 
 
@@ -251,8 +179,8 @@ def test_of_models_alike_neither_surely_errs_less_but_by_chance(tests):
 )
 def test_what_errs_half_as_much_surely_errs_less(one, other, better):
     samples = np.array([1000, 500, 1000, 800])[: len(one)]
-    assert significantly_better(np.array(one), np.array(other), samples) == better
-    assert not significantly_better(np.array(other), np.array(one), samples)
+    assert (better_p_value(np.array(one), np.array(other), samples) < SIGNIFICANCE) == better
+    assert not better_p_value(np.array(other), np.array(one), samples) < SIGNIFICANCE
 
 
 def test_the_p_value_is_that_of_students_t():
@@ -281,11 +209,3 @@ def test_holm_adjusts_by_its_definition(values):
     for value, result in zip(values, adjusted, strict=True):
         products = [(len(values) - i) * p for i, p in enumerate(ordered[: ordered.index(value) + 1])]
         assert result == min(1.0, max(products))
-
-
-def test_holm_keeps_the_rate_of_any_false_difference():
-    """Of 4000 families of 10 true null hypotheses, at most 5 % and three standard deviations show any."""
-    families = np.random.default_rng(0).random((4000, 10))
-    rate = np.mean([min(holm(family)) < 0.05 for family in families.tolist()])
-    assert rate <= 0.05 + 3 * np.sqrt(0.05 * 0.95 / 4000)
-    assert rate > 0.03  # 1 − 0.995^10 = 4.9 % is expected

@@ -116,7 +116,7 @@ def test_works_at_the_same_time_have_each_its_curves():
     assert curves.__rich__().plain == ""
 
 
-def test_in_a_file_a_stage_is_two_lines(capsys):
+def test_in_a_file_a_stage_has_two_lines(capsys):
     with progress() as report:
         for number in range(2):
             for name in ("lifting", "lowering"):

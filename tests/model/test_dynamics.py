@@ -52,8 +52,8 @@ def stepped(model, commands, measured=None, *, start=100.0, load=None):
     padded = np.pad(rows, ((0, max(256, 1 << (count - 1).bit_length()) - count), (0, 0)))
     dynamics = HitchDynamics.of(tuple(model.channels.values()), model.step_s, model.drift)
     loads = mean_load(dynamics.channels) if load is None else [load]
-    found = scanned(dynamics, jnp.array([start, *loads]), jnp.asarray(padded))
-    states = jax.tree.map(lambda each: np.asarray(each)[: count + 1], found)
+    simulated = scanned(dynamics, jnp.array([start, *loads]), jnp.asarray(padded))
+    states = jax.tree.map(lambda leaf: np.asarray(leaf)[: count + 1], simulated)
     return states.displacement, states
 
 
@@ -138,9 +138,9 @@ def test_a_free_run_by_steps_is_the_whole_records(record_of, model):
     commands = np.concatenate([np.zeros((60, 2)), cycles(np.random.default_rng(0), 600)])
     record = record_of(np.full(len(commands), 100.0), commands)
     load = LOAD if any(own.benchmark.covariates for own in model.channels.values()) else None
-    found, _ = stepped_singly(model, commands[:-1], load=load)
-    np.testing.assert_allclose(found, model.simulate(record).displacement, rtol=0, atol=1e-9)
-    assert np.ptp(found) > 5.0
+    simulated, _ = stepped_singly(model, commands[:-1], load=load)
+    np.testing.assert_allclose(simulated, model.simulate(record).displacement, rtol=0, atol=1e-9)
+    assert np.ptp(simulated) > 5.0
 
 
 FAST = [
@@ -156,7 +156,7 @@ FAST = [
     [*((LIFTING, options) for options in FAST), (LOWERING, FAST[-1])],
     ids=str,
 )
-def test_a_test_of_one_direction_moves_as_its_fast_form_says(record_of, mode, options):
+def test_a_test_of_one_direction_moves_as_its_fast_form(record_of, mode, options):
     options = dict(options)
     if "end_stop" in options:
         options["end_stop"] = options["end_stop"][mode]
@@ -166,9 +166,9 @@ def test_a_test_of_one_direction_moves_as_its_fast_form_says(record_of, mode, op
     commands[:, (LIFTING, LOWERING).index(mode)] = levels(np.random.default_rng(1), 400, low=0.2)
     record = record_of(np.full(400, 100.0), commands)
     fast = np.asarray(own.simulate(own.batch([record])))[0, :400]
-    found, _ = stepped(model, commands[:-1], load=LOAD if options.get("shape") else 0.0)
-    np.testing.assert_allclose(found, fast, rtol=0, atol=1e-9)
-    assert own.sign * (found[-1] - 100.0) > 5.0
+    simulated, _ = stepped(model, commands[:-1], load=LOAD if options.get("shape") else 0.0)
+    np.testing.assert_allclose(simulated, fast, rtol=0, atol=1e-9)
+    assert own.sign * (simulated[-1] - 100.0) > 5.0
 
 
 @pytest.mark.parametrize(
@@ -192,11 +192,11 @@ def test_predictions_by_single_steps_are_those_of_the_whole_record(record_of, na
     for origin in range(len(commands) - horizon):
         state = states[origin]
         for ahead in range(horizon):
-            state, found = model.step(
+            state, simulated = model.step(
                 state, commands[origin + ahead], measured[origin] if ahead == 0 else None
             )
         # One computation in two programs: steps of σ in single precision, which a hidden state keeps.
-        assert float(found) == pytest.approx(expected[origin + horizon], abs=horizon * 1e-9 + HEARD)
+        assert float(simulated) == pytest.approx(expected[origin + horizon], abs=horizon * 1e-9 + HEARD)
 
 
 def test_predictions_from_some_samples_are_those_from_all(record_of):
@@ -204,9 +204,9 @@ def test_predictions_from_some_samples_are_those_from_all(record_of):
     commands = np.concatenate([np.zeros((5, 2)), cycles(rng, 75)])
     record = record_of(100.0 + np.cumsum(rng.normal(0, 0.1, 80)), commands)
     horizons = (1, 4)
-    found = PLAIN.predictions(record, horizons, stride=every)
+    simulated = PLAIN.predictions(record, horizons, stride=every)
     whole = PLAIN.predictions(record, horizons)
-    for horizon, some, all_rows in zip(horizons, found, whole, strict=True):
+    for horizon, some, all_rows in zip(horizons, simulated, whole, strict=True):
         predicted = (np.arange(80) < horizon) | ((np.arange(80) - horizon) % every == 0)
         np.testing.assert_array_equal(np.isnan(some), ~predicted)
         np.testing.assert_array_equal(some[predicted], all_rows[predicted])
@@ -223,8 +223,8 @@ def travelled(up, down):
 
 def check(model, commands, up, down, modes):
     """Check motion, and the channels in charge, run by run, of integrators that hear `up` and `down`."""
-    found, states = stepped(model, commands)
-    np.testing.assert_allclose(found, travelled(up, down), rtol=0, atol=len(found) * EPS * 200)
+    simulated, states = stepped(model, commands)
+    np.testing.assert_allclose(simulated, travelled(up, down), rtol=0, atol=len(simulated) * EPS * 200)
     charge = states.mode[1:]
     turns = np.flatnonzero(np.diff(charge, prepend=charge[0] - 1))
     runs = np.diff([*turns, len(charge)])
@@ -269,7 +269,7 @@ def test_with_both_valves_on_the_piston_falls(before):
 
 
 @pytest.mark.parametrize("late_samples", [1, 6])
-def test_a_reversal_within_the_dead_time_plays_out_what_was_commanded(late_samples):
+def test_a_reversal_within_the_dead_time_plays_out_earlier_commands(late_samples):
     model = hitch_of(*(channel(mode, dead_time_s=late_samples * STEP_S) for mode in GAINS))
     commands = sequence((RISE, 2), (FALL, 8), (RISE, 3), (REST, 10))
     up, down = (shifted(effective, late_samples) for effective in SPEED * (commands > 0).T)
@@ -317,21 +317,21 @@ REVERSAL = sequence((RISE, 40), (FALL, 40), (RISE, 40), (REST, 40))
 )
 def test_nothing_jumps_where_the_mode_changes(structure, shape):
     model = hitch_of(*(channel(mode, structure, shape=shape, free_run=True) for mode in GAINS))
-    found, states = stepped(model, REVERSAL, load=LOAD)
+    simulated, states = stepped(model, REVERSAL, load=LOAD)
     # Overshoot at most doubles the speed of a lag, curves gain exp(0.2 + 0.1 + 0.3 × 0.4) on the way, and
     # the compensator half of it.
     fastest = 1.5 * 2 * UP * SPEED * (np.exp(0.5) if shape else 1.0)
-    assert np.abs(np.diff(found)).max() <= fastest * STEP_S
+    assert np.abs(np.diff(simulated)).max() <= fastest * STEP_S
     assert len(set(states.mode[1:].tolist())) > 1
 
 
 def speeds_around(structure, step_s):
     """Return mean speeds over the samples before and after lifting turns to lowering, mm/s."""
     model = hitch_of(*(channel(mode, structure) for mode in GAINS), step_s=step_s)
-    each = round(0.4 / step_s)
-    found, states = stepped(model, sequence((RISE, each), (FALL, 3)))
-    assert states.mode[each : each + 2].tolist() == [0, 1]
-    return tuple(np.diff(found)[each - 1 : each + 1] / step_s)
+    samples = round(0.4 / step_s)
+    simulated, states = stepped(model, sequence((RISE, samples), (FALL, 3)))
+    assert states.mode[samples : samples + 2].tolist() == [0, 1]
+    return tuple(np.diff(simulated)[samples - 1 : samples + 1] / step_s)
 
 
 @pytest.mark.parametrize("structure", SMOOTH)
@@ -357,12 +357,12 @@ def test_the_speed_goes_on_where_the_mode_changes(structure):
 
 
 @pytest.mark.parametrize("structure", ["integrator", *SMOOTH])
-def test_a_hitch_that_has_come_to_rest_stays_where_it_is(structure):
+def test_a_hitch_at_rest_stays_where_it_is(structure):
     model = hitch_of(*(channel(mode, structure, compensated=True, free_run=True) for mode in GAINS))
     # Three seconds are more than 30 of the longest time constants, 80 ms: exp(−30) of 15 mm/s.
-    found, _ = stepped(model, sequence((RISE, 50), (FALL, 20), (REST, 300 + 10_000)))
-    assert np.ptp(found[371:]) < 1e-9
-    assert abs(found[-1] - 100.0) > 1.0
+    simulated, _ = stepped(model, sequence((RISE, 50), (FALL, 20), (REST, 300 + 10_000)))
+    assert np.ptp(simulated[371:]) < 1e-9
+    assert abs(simulated[-1] - 100.0) > 1.0
 
 
 def test_only_a_held_piston_creeps_at_its_drift():
@@ -371,9 +371,9 @@ def test_only_a_held_piston_creeps_at_its_drift():
     commands = sequence((REST, 20), (RISE, 30), (REST, 50), (FALL, 30), (REST, 50))
     up, down = SPEED * (commands > 0).T
     held = np.concatenate([[0.0], np.cumsum(~np.any(commands > 0, axis=1))])
-    found, _ = stepped(model, commands)
+    simulated, _ = stepped(model, commands)
     np.testing.assert_allclose(
-        found, travelled(up, down) + speed * STEP_S * held, rtol=0, atol=len(found) * EPS * 200
+        simulated, travelled(up, down) + speed * STEP_S * held, rtol=0, atol=len(simulated) * EPS * 200
     )
 
 
@@ -393,29 +393,29 @@ BOUNDED = {
 def test_no_end_stop_is_passed(structure, seed):
     model = BOUNDED[structure]
     commands = cycles(np.random.default_rng(seed), 300)
-    found, _ = stepped(model, np.concatenate([commands, sequence((RISE, 100), (FALL, 200))]))
+    simulated, _ = stepped(model, np.concatenate([commands, sequence((RISE, 100), (FALL, 200))]))
     # Both are met, and sums round.
-    rounding = len(found) * EPS * 200
-    assert found.max() <= 104.0 + rounding
-    assert found.min() >= 97.0 - rounding
+    rounding = len(simulated) * EPS * 200
+    assert simulated.max() <= 104.0 + rounding
+    assert simulated.min() >= 97.0 - rounding
     if structure != "first-order-lag":
-        assert found[400] == pytest.approx(104.0, abs=rounding)
-    assert found[-1] == pytest.approx(97.0, abs=rounding)
+        assert simulated[400] == pytest.approx(104.0, abs=rounding)
+    assert simulated[-1] == pytest.approx(97.0, abs=rounding)
 
 
-def test_from_an_end_stop_or_near_it_the_other_mode_starts():
+def test_at_an_end_stop_or_near_the_other_mode_starts():
     structure = "integrator-second-order"
     stopped = channel(LIFTING, structure, end_stop=104.0)
     model = hitch_of(stopped, channel(LOWERING, structure))
     for before in (32, 33):
         just_before, _ = stepped(model, sequence((RISE, before), (FALL, 40)))
         assert just_before.max() <= 104.0
-    found, _ = stepped(model, sequence((RISE, 100), (FALL, 50)))
-    assert found[100] == 104.0
+    simulated, _ = stepped(model, sequence((RISE, 100), (FALL, 50)))
+    assert simulated[100] == 104.0
     alone = hitch_of(channel(LOWERING, structure))
     expected, _ = stepped(alone, sequence((FALL, 50)), start=104.0)
     # At the stop it is at rest.
-    np.testing.assert_allclose(found[100:], expected, rtol=0, atol=150 * EPS * 200)
+    np.testing.assert_allclose(simulated[100:], expected, rtol=0, atol=150 * EPS * 200)
 
 
 @by_name
@@ -428,11 +428,11 @@ def test_of_a_command_that_is_missing_the_last_one_stands(model):
     for k in range(1, len(held)):
         held[k] = np.where(gone[k], held[k - 1], held[k])
     lost = rng.choice([np.nan, np.inf, -np.inf], commands.shape)
-    found, states = stepped(model, np.where(gone, lost, commands))
+    simulated, states = stepped(model, np.where(gone, lost, commands))
     expected, _ = stepped(model, held)
-    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(simulated, expected)
     np.testing.assert_array_equal(states.command_missing[1:], gone.any(axis=1))
-    assert np.any(found != stepped(model, np.where(gone, 0.0, commands))[0])
+    assert np.any(simulated != stepped(model, np.where(gone, 0.0, commands))[0])
     # Missing from the start, they are taken for zero.
     from_start, states = stepped(replace(model, drift=0.0), np.full((20, 2), np.nan))
     np.testing.assert_array_equal(from_start, 100.0)
@@ -444,33 +444,35 @@ def test_without_a_measurement_the_model_coasts_on_its_last_error():
     commands = sequence((RISE, 20), (FALL, 20), (REST, 20))
     lost = [None, np.nan, np.inf, -np.inf] * 11
     measured = [*(100.0 + 0.3 * np.arange(16)), *lost]
-    found, states = stepped_singly(model, commands, measured)
+    simulated, states = stepped_singly(model, commands, measured)
     lengths = [int(model.unpack_state(state).samples_since_measurement) for state in states[1:]]
     assert lengths == [*[0] * 16, *range(1, 45)]
     free, _ = stepped(model, commands[:20])
     # Within one mode it moves from what was measured last by what the benchmark does.
     np.testing.assert_allclose(
-        found[16:21], measured[15] + free[16:21] - free[15], rtol=0, atol=60 * EPS * 200
+        simulated[16:21], measured[15] + free[16:21] - free[15], rtol=0, atol=60 * EPS * 200
     )
-    assert abs(found[20] - free[20]) > 0.5
+    assert abs(simulated[20] - free[20]) > 0.5
 
 
 numbers = st.one_of(
     st.sampled_from([np.nan, np.inf, -np.inf, 0.0, -0.0, 9e8, -9e8, 1e300, -1e300, 5e-324]),
     st.floats(-2.0, 2.0),
 )
-places = st.one_of(
+displacements_given = st.one_of(
     st.none(), st.sampled_from([np.nan, np.inf, -np.inf, 9e8, -9e8, 1e300]), st.floats(0.0, 200.0)
 )
 
 
 @by_name
-@given(given_=st.lists(st.tuples(numbers, numbers, places), min_size=1, max_size=60))
+@given(given_=st.lists(st.tuples(numbers, numbers, displacements_given), min_size=1, max_size=60))
 def test_the_answer_is_a_number_whatever_comes(model, given_):
     *commands, measured = zip(*given_, strict=True)
     after = cycles(np.random.default_rng(0), 30)
-    found, _ = stepped(model, np.concatenate([np.stack(commands, axis=1), after]), [*measured, *[100.0] * 30])
-    assert np.all(np.isfinite(found))
+    simulated, _ = stepped(
+        model, np.concatenate([np.stack(commands, axis=1), after]), [*measured, *[100.0] * 30]
+    )
+    assert np.all(np.isfinite(simulated))
 
 
 def lossy(samples, gap):
@@ -488,10 +490,10 @@ def lossy(samples, gap):
 def test_untrained_the_first_measurement_after_a_gap_is_enough(gap):
     model = hitch_of(channel(LIFTING, "integrator-first-order", compensated=False))
     commands, measured, gone = lossy(250, gap)
-    found, expected = (stepped(model, commands, samples)[0] for samples in (gone, measured))
+    simulated, expected = (stepped(model, commands, samples)[0] for samples in (gone, measured))
     back = 40 + gap
-    np.testing.assert_allclose(found[back + 1 :], expected[back + 1 :], rtol=0, atol=250 * EPS * 200)
-    assert np.all(found[42 : back + 1] != expected[42 : back + 1])
+    np.testing.assert_allclose(simulated[back + 1 :], expected[back + 1 :], rtol=0, atol=250 * EPS * 200)
+    assert np.all(simulated[42 : back + 1] != expected[42 : back + 1])
 
 
 @pytest.mark.parametrize("gap", [1, 30, MAX_HORIZON - 1])
@@ -503,14 +505,14 @@ def test_two_windows_after_a_gap_a_compensator_has_forgotten_it(gap):
     )
     model = hitch_of(deaf)
     commands, measured, gone = lossy(250, gap)
-    found, expected = (stepped(model, commands, samples)[0] for samples in (gone, measured))
+    simulated, expected = (stepped(model, commands, samples)[0] for samples in (gone, measured))
     # Two samples more: the features hear the errors one and two samples before.
     back = 40 + gap + 2 * WINDOW + 2
-    np.testing.assert_allclose(found[back + 1 :], expected[back + 1 :], rtol=0, atol=250 * EPS * 200)
-    assert np.any(np.abs(found - expected)[40 + gap + 1 : back] > 1e-6)
+    np.testing.assert_allclose(simulated[back + 1 :], expected[back + 1 :], rtol=0, atol=250 * EPS * 200)
+    assert np.any(np.abs(simulated - expected)[40 + gap + 1 : back] > 1e-6)
 
 
-def test_a_step_within_a_program_of_the_users_is_the_same():
+def test_a_step_within_a_users_program_is_the_same():
     model = MODELS["everything"]
 
     @jax.jit
@@ -520,12 +522,12 @@ def test_a_step_within_a_program_of_the_users_is_the_same():
         return state, jnp.stack([first, second])
 
     commands = cycles(np.random.default_rng(6), 60)
-    found, state = [], model.init_state(100.0)
+    simulated, state = [], model.init_state(100.0)
     for pair in commands.reshape(-1, 2, 2):
         state, both = twice(state, jnp.asarray(pair), 100.0)
-        found.extend(both)
+        simulated.extend(both)
     expected, _ = stepped(model, commands, [100.0, None] * 30)
-    np.testing.assert_allclose(found, expected[1:], rtol=0, atol=1e-9 + HEARD)
+    np.testing.assert_allclose(simulated, expected[1:], rtol=0, atol=1e-9 + HEARD)
 
 
 @by_name
@@ -553,14 +555,14 @@ def test_a_packed_state_is_the_unpacked_one_and_left_alone(model):
         np.testing.assert_array_equal(ours, theirs)
 
 
-def test_a_model_of_one_channel_does_not_hear_the_other_command():
+def test_a_model_of_one_channel_ignores_the_other_command():
     model = hitch_of(channel(LOWERING, "integrator-second-order", compensated=True))
     commands = cycles(np.random.default_rng(8), 150)
     measured = [*[100.0] * 70, *[None] * 80]
-    heard, quiet = (
+    with_other, without_other = (
         stepped(model, given_commands, measured)[0] for given_commands in (commands, commands * [0, 1])
     )
-    np.testing.assert_array_equal(heard, quiet)
+    np.testing.assert_array_equal(with_other, without_other)
     assert not np.any(stepped(model, commands * [1, 0])[0] != 100.0)
 
 

@@ -11,7 +11,7 @@ from hitchid.model import TravelLimits
 displacements = st.floats(-1e6, 1e6)
 
 
-def test_without_a_stop_the_limit_is_a_tenth_beyond_the_logs(make_record):
+def test_without_a_stop_limits_are_a_tenth_beyond_the_logs(make_record):
     records = [
         make_record(np.array([20.0, 40.0]), np.zeros(2)),
         make_record(np.array([30.0, 70.0]), np.zeros(2)),

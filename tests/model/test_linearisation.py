@@ -1,20 +1,18 @@
 """The linear model about an operating point, as it is and as scipy and python-control have it."""
 
-import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import signal
 
 import handmade
 from hitchid.errors import InputError
 from hitchid.handover.linear import describing_function
 from hitchid.handover.responses import frequency_response
 from hitchid.logs.record import LIFTING, LOWERING
-from hitchid.model import Estimates, Uncertainty, save
+from hitchid.model import Estimates, Uncertainty
 from hitchid.structures import PhysicalModel, structure_named
 from report import reported
 
@@ -26,17 +24,17 @@ FREQUENCY_HZ = np.geomspace(0.05, 10.0, 25)
 
 def uncertain(model, spread=SPREAD):
     """Return a model whose gain in each direction has a standard error, unless its spread is None."""
-    known = {}
+    by_direction = {}
     for direction in model.channels:
         gain = handmade.GAINS[direction]
         estimate = reported.estimate(value=gain, error=spread and spread * gain, interval=(None, None))
-        known[direction] = Uncertainty(Estimates((estimate,), (), ((1.0,),), 5, 5))
-    return replace(model, uncertainty=known)
+        by_direction[direction] = Uncertainty(Estimates((estimate,), (), ((1.0,),), 5, 5))
+    return replace(model, uncertainty=by_direction)
 
 
-def response(found):
+def response(computed):
     """Return the complex frequency response."""
-    return found.magnitude.value * np.exp(1j * found.phase_rad.value)
+    return computed.magnitude.value * np.exp(1j * computed.phase_rad.value)
 
 
 def of_matrices(system, frequencies):
@@ -51,10 +49,10 @@ def of_matrices(system, frequencies):
 def test_without_nonlinearities_it_is_the_channels_response(direction):
     model = handmade.hitch("integrator-second-order", dead_time_s=DEAD_TIME_S)
     linear = model.linearise(direction)
-    found = linear.frequency_response(FREQUENCY_HZ)
+    computed = linear.frequency_response(FREQUENCY_HZ)
     # Which is compared with scipy's in `test_responses.py`.
     expected = frequency_response(model.channels[direction], FREQUENCY_HZ, None, None)
-    np.testing.assert_allclose(response(found), response(expected), rtol=1e-9)
+    np.testing.assert_allclose(response(computed), response(expected), rtol=1e-9)
     assert linear.gain.value == pytest.approx(linear.sign * handmade.GAINS[direction], rel=1e-12)
     assert linear.drawn is None
     assert linear.models() == ()
@@ -62,7 +60,7 @@ def test_without_nonlinearities_it_is_the_channels_response(direction):
     assert np.sign(model.to_scipy(direction, 0.01).C[0, 0]) == linear.sign == handmade.DIRECTIONS[direction]
 
 
-def test_the_continuous_model_has_the_dead_time_up_to_its_approximation():
+def test_the_continuous_model_has_the_approximated_dead_time():
     model = handmade.hitch("integrator-second-order", dead_time_s=DEAD_TIME_S)
     linear = model.linearise(LIFTING)
     slow = FREQUENCY_HZ[2 * np.pi * FREQUENCY_HZ * DEAD_TIME_S < 1]
@@ -80,8 +78,8 @@ def test_drawn_models_have_the_spread_of_the_estimates():
     gain = linear.gain
     assert gain.lower < gain.value < gain.upper < 0
     # Quantiles of a log-normal gain, with their standard error √(q (1 − q)/n)/φ(z) = 0.06 deviations; five.
-    for found, quantile in ((gain.upper, -1.96), (gain.lower, 1.96)):
-        assert np.log(found / gain.value) / SPREAD == pytest.approx(quantile, abs=0.3)
+    for computed, quantile in ((gain.upper, -1.96), (gain.lower, 1.96)):
+        assert np.log(computed / gain.value) / SPREAD == pytest.approx(quantile, abs=0.3)
     band = linear.frequency_response(FREQUENCY_HZ).magnitude
     np.testing.assert_allclose(band.upper / band.value, gain.lower / gain.value, rtol=1e-9)
     # At 10 ms, too, a drawn model differs by its gain alone.
@@ -129,7 +127,7 @@ def test_the_describing_function_is_the_fundamental_of_a_simulated_play():
     assert describing_function(play, play) == 0
 
 
-def test_a_sine_within_the_play_moves_nothing_a_large_one_all():
+def test_a_sine_within_the_play_moves_nothing():
     model = handmade.hitch_of(handmade.channel(LIFTING, "integrator-first-order", shape=True))
     linear = model.linearise(load=120.0)
     assert linear.play > 0
@@ -154,114 +152,72 @@ def test_bad_arguments_are_named():
         model.linearise(LIFTING, displacement=np.inf)
 
 
-# --- as scipy and python-control have it: steps of 60 s in a process without x64 ----------------------------
+# --- as scipy and python-control have it: steps of 60 s ----------------------------------------------------
 
-CHILD = """
-import json, sys
-from dataclasses import replace
-from pathlib import Path
-import jax
-import numpy as np
-from scipy import signal
-import hitchid
-
-assert not jax.config.jax_enable_x64
+STRUCTURES = ("integrator", "first-order-lag", "integrator-first-order", "integrator-second-order")
+SLOW = 1e-4  # factor on the gain, such that 60 s of motion are a small part of the stroke
 LENGTH_S = 60.0
+at_step_times = pytest.mark.parametrize("step_s", [0.001, 0.01])
 
 
 def simulated(model, direction, command):
-    n = command.size
-    signals = {"displacement": np.full(n, 100.0), f"{direction}_command": command}
-    if model.channels[direction].benchmark.covariates:
-        signals["pressure"] = np.full(n, 120.0)
-    units = {role: model.units[role] for role in signals}
-    return np.asarray(model.simulate(hitchid.Record("step", model.step_s, signals, units), compensated=False))
+    """Return the physical model's displacement from 100 mm at mean load."""
+    load = 120.0 if model.channels[direction].benchmark.covariates else None
+    commands = np.zeros((command.size, 2))
+    commands[:, (LIFTING, LOWERING).index(direction)] = command
+    run = model.simulate(commands, step_s=model.step_s, initial=100.0, load=load, compensated=False)
+    return run.displacement
 
 
-def stepped(model, low, high):
-    # One sample of rest, which gives the initial displacement.
-    n = round(LENGTH_S / model.step_s)
-    command = np.full(n, high)
-    command[0] = 0.0
-    command[1 : n // 6] = low
-    return command
+def steps(model, low, high):
+    """Return a command of one level, then of another, after a sample of rest."""
+    samples = round(LENGTH_S / model.step_s)
+    return np.concatenate([[0.0], np.full(samples // 6 - 1, low), np.full(samples - samples // 6, high)])
 
 
-def linear_error(model, direction):
-    system = model.to_scipy(direction, model.step_s)
+def relative_error(system, command, expected):
+    """Return the largest difference of scipy's response from what is expected, over the largest of these."""
+    _, response, _ = signal.dlsim((system.A, system.B, system.C, system.D, system.dt), command)
+    return float(np.max(np.abs(response.ravel() - expected)) / np.max(np.abs(expected)))
+
+
+@pytest.mark.long
+@at_step_times
+@pytest.mark.parametrize("structure", STRUCTURES)
+@pytest.mark.parametrize("direction", [LIFTING, LOWERING])
+def test_a_step_of_60_s_agrees_with_the_simulation(structure, direction, step_s):
+    model = replace(handmade.hitch(structure, dead_time_s=0.0374), step_s=step_s)
     dead_zone = model.channels[direction].dead_zone
-    command = stepped(model, dead_zone + 0.1, dead_zone + 0.2)
-    _, found, _ = signal.dlsim(system, np.maximum(command - dead_zone, 0.0))
-    expected = simulated(model, direction, command) - 100.0
-    return float(np.max(np.abs(found.ravel() - expected)) / np.max(np.abs(expected)))
-
-
-def operating_error(model, direction, size):
-    base = model.channels[direction].dead_zone + 0.3
-    low, high = stepped(model, base, base), stepped(model, base, base + size)
-    system = model.to_control(direction, model.step_s, command=base, displacement=100.0, load=120.0)
-    _, found, _ = signal.dlsim((system.A, system.B, system.C, system.D, system.dt), high - low)
-    expected = simulated(model, direction, high) - simulated(model, direction, low)
-    return float(np.max(np.abs(found.ravel() - expected)) / np.max(np.abs(expected)))
-
-
-errors = {}
-for path in sorted(Path(sys.argv[1]).iterdir()):
-    original = hitchid.load(path)
-    for step_s in (0.001, 0.01):
-        model = replace(original, step_s=step_s)
-        for direction in model.channels:
-            key = f"{path.name} {direction} {step_s}"
-            if path.name == "curved":
-                errors[key] = [operating_error(model, direction, size) for size in (2e-3, 1e-3, 5e-4)]
-            else:
-                errors[key] = linear_error(model, direction)
-print(json.dumps(errors))
-"""
-STRUCTURES = ("integrator", "first-order-lag", "integrator-first-order", "integrator-second-order")
-SLOW = 1e-4  # factor on the gain, such that 60 s of motion are a small part of the stroke
-
-
-@pytest.fixture(scope="module")
-def errors(tmp_path_factory):
-    """Return the relative errors of a fresh process, model, direction and sampling time to error."""
-    folder = tmp_path_factory.mktemp("linear")
-    for structure in STRUCTURES:
-        save(handmade.hitch(structure, dead_time_s=0.0374), folder / structure)
-    curved = handmade.hitch_of(
-        handmade.channel(LIFTING, "integrator-second-order", dead_time_s=0.0374, shape=True)
-    )
-    save(curved.with_parameters(lifting={"gain": SLOW * handmade.GAINS[LIFTING]}), folder / "curved")
-    done = subprocess.run([sys.executable, "-c", CHILD, str(folder)], capture_output=True, text=True)  # noqa: S603
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+    command = steps(model, dead_zone + 0.1, dead_zone + 0.2)
+    travel = simulated(model, direction, command) - 100.0
+    system = model.to_scipy(direction, step_s)
+    assert relative_error(system, np.maximum(command - dead_zone, 0.0), travel) <= 1e-6
 
 
 @pytest.mark.long
-def test_a_step_of_60_s_agrees_with_the_simulation(errors):
-    linear = {key: error for key, error in errors.items() if not key.startswith("curved")}
-    assert len(linear) == 2 * 2 * len(STRUCTURES)
-    assert {key: error for key, error in linear.items() if not error <= 1e-6} == {}
-
-
-@pytest.mark.long
-def test_a_small_step_agrees_to_the_order_of_its_size(errors):
-    curved = {key: np.array(error) for key, error in errors.items() if key.startswith("curved")}
-    assert len(curved) == 2
+@at_step_times
+def test_a_small_step_agrees_to_the_order_of_its_size(step_s):
+    curved = handmade.channel(LIFTING, "integrator-second-order", dead_time_s=0.0374, shape=True)
+    slow = handmade.hitch_of(curved).with_parameters(lifting={"gain": SLOW * handmade.GAINS[LIFTING]})
+    model, command = replace(slow, step_s=step_s), curved.dead_zone + 0.3
+    system = model.to_control(LIFTING, step_s, command=command, displacement=100.0, load=120.0)
+    errors, sizes = [], np.array([2e-3, 1e-3, 5e-4])
+    for size in sizes:
+        low, high = steps(model, command, command), steps(model, command, command + size)
+        travel = simulated(model, LIFTING, high) - simulated(model, LIFTING, low)
+        errors.append(relative_error(system, high - low, travel))
     # The operating point in shares of U = 1.2 A beyond the opening d = 0.1, at mean load (120 bar), with
     # exponent n = 1.5 and saturation σ = 2: v = a^n, w = v (1 + (v/σ)⁴)^(-1/4).
     above_opening = 0.3 / 1.2 - 0.1
-    for found in curved.values():
-        sizes = np.array([2e-3, 1e-3, 5e-4]) / 1.2
-        # w''/(2 w') = (n − 1)/(2 a); saturation and higher orders change it by less than a tenth.
-        curvature = 0.5 / (2 * above_opening) * sizes
-        # The nominal motion of 60 s, and the gain's change along it: |d ln g/dξ| ≤ 0.2 + 2·0.1·|ξ| < 0.21 at
-        # mid stroke, ξ within 60 s K w g/span with g < 1.1.
-        travel = 60 * SLOW * 30.0 * 1.2 * above_opening**1.5 * 1.1
-        drift = 0.21 * travel / 60.0
-        assert np.all(found <= 1.1 * curvature + drift)
-        # Halved step, halved error beyond that of the stroke, which is the same.
-        assert np.all(np.abs(np.diff(found)) >= 0.5 * np.abs(np.diff(curvature)))
+    # w''/(2 w') = (n − 1)/(2 a); saturation and higher orders change it by less than a tenth.
+    curvature = 0.5 / (2 * above_opening) * sizes / 1.2
+    # The nominal motion of 60 s, and the gain's change along it: |d ln g/dξ| ≤ 0.2 + 2·0.1·|ξ| < 0.21 at
+    # mid stroke, ξ within 60 s K w g/span with g < 1.1.
+    travel = 60 * SLOW * 30.0 * 1.2 * above_opening**1.5 * 1.1
+    drift = 0.21 * travel / 60.0
+    assert np.all(np.array(errors) <= 1.1 * curvature + drift)
+    # Halved step, halved error beyond that of the stroke, which is the same.
+    assert np.all(np.abs(np.diff(errors)) >= 0.5 * np.abs(np.diff(curvature)))
 
 
 def test_the_continuous_model_is_the_limit_of_the_discrete_one():
@@ -271,9 +227,9 @@ def test_the_continuous_model_is_the_limit_of_the_discrete_one():
     step_s = 1e-5
     fine = model.to_scipy(step_s=step_s, **point)
     omega = np.array([0.5, 5.0, 50.0])
-    exact, found = of_matrices(continuous, 1j * omega), of_matrices(fine, np.exp(1j * omega * step_s))
+    exact, computed = of_matrices(continuous, 1j * omega), of_matrices(fine, np.exp(1j * omega * step_s))
     # A held command and a held flow are late by half a sample each: ω h/2 of phase each.
-    assert np.all(np.abs(found / exact - 1) <= 1.1 * omega * step_s)
+    assert np.all(np.abs(computed / exact - 1) <= 1.1 * omega * step_s)
 
 
 def test_nonlinear_structures_and_closed_valves_are_refused():

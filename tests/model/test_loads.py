@@ -52,8 +52,8 @@ def test_each_channel_takes_its_own_in_its_own_order():
 def test_covariates_not_given_are_means_and_several_make_rows():
     np.testing.assert_array_equal(load_row({"pressure": 100.0}, CHANNELS, "model"), [40.0, 100.0])
     np.testing.assert_array_equal(load_row(None, CHANNELS, "model"), [40.0, 90.0])
-    found = load_row({"oil": [5.0, 70.0], "pressure": 100.0}, CHANNELS, "model")
-    np.testing.assert_array_equal(found, [[5.0, 100.0], [70.0, 100.0]])
+    rows = load_row({"oil": [5.0, 70.0], "pressure": 100.0}, CHANNELS, "model")
+    np.testing.assert_array_equal(rows, [[5.0, 100.0], [70.0, 100.0]])
 
 
 @pytest.mark.parametrize(
@@ -99,9 +99,9 @@ def sensed():
     never, zero = jnp.asarray(jnp.inf), jnp.zeros(())
     curves = warm.benchmark.nonlinearity
     along_stroke = replace(curves, values=curves.values.at[-2:].set(0.0))
-    known = LoadFilter(jnp.asarray(NOISE), zero, never, zero, never, zero)
+    filtered = LoadFilter(jnp.asarray(NOISE), zero, never, zero, never, zero)
     benchmark = replace(warm.benchmark, nonlinearity=along_stroke)
-    return handmade.hitch_of(replace(warm, benchmark=benchmark, load_filter=known))
+    return handmade.hitch_of(replace(warm, benchmark=benchmark, load_filter=filtered))
 
 
 SENSED = sensed()
@@ -111,27 +111,27 @@ def run(load, samples, measured=()):
     """Return the state after some samples, and the displacement after each."""
     state, displacements = SENSED.init_state(100.0, load), []
     for number in range(samples):
-        known = measured[number] if number < len(measured) else None
-        state, displacement = SENSED.step(state, COMMANDS, known)
+        sample = measured[number] if number < len(measured) else None
+        state, displacement = SENSED.step(state, COMMANDS, sample)
         displacements.append(float(displacement))
     return state, np.array(displacements)
 
 
-def test_without_measurements_the_displacement_is_the_mean_over_the_tests_loads():
+def test_without_measurements_displacement_is_the_mean_over_the_loads():
     # Uniform with the tests' standard deviation: E exp(a z) = sinh(√3 a)/(√3 a). The midpoint rule over 128
     # loads is off by (√3 a)²/(6·128²).
     _, at_mean = run({"oil": CENTRE}, 60)
-    _, found = run(NOT_MEASURED, 60)
+    _, estimated = run(NOT_MEASURED, 60)
     half_width = sqrt(3) * EFFECT
     expected = (at_mean[-1] - 100.0) * sinh(half_width) / half_width
-    assert found[-1] - 100.0 == pytest.approx(expected, rel=half_width**2 / (6 * 128**2) * 2 + 1e-12)
+    assert estimated[-1] - 100.0 == pytest.approx(expected, rel=half_width**2 / (6 * 128**2) * 2 + 1e-12)
 
 
 @pytest.mark.parametrize("oil", [34.0, 41.0, 47.0])
 def test_measured_motion_shows_the_load(oil):
     _, true = run({"oil": oil}, 300)
     noise = NOISE * np.random.default_rng(1).standard_normal(100)
-    state, found = run(NOT_MEASURED, 300, np.concatenate([[100.0], true[:99]]) + noise)
+    state, estimated = run(NOT_MEASURED, 300, np.concatenate([[100.0], true[:99]]) + noise)
     # Of displacements a + v t the standard error of v is about σ/t √(3/N), that of the load as that of ln v;
     # beside it, half the distance of two loads.
     travel = true[99] - 100.0
@@ -143,12 +143,12 @@ def test_measured_motion_shows_the_load(oil):
     )
     assert abs(estimate - oil) < 4 * error + spacing
     relative = EFFECT / SPREAD * (4 * error + spacing)
-    assert found[-1] - true[-1] == pytest.approx(0.0, abs=relative * (true[-1] - 100.0) + 4 * NOISE)
+    assert estimated[-1] - true[-1] == pytest.approx(0.0, abs=relative * (true[-1] - 100.0) + 4 * NOISE)
 
 
 def test_a_measured_covariate_is_taken_as_it_is():
-    state, found = run({"oil": 44.0}, 30)
-    assert SENSED.unpack_state(state).displacement == found[-1]
+    state, estimated = run({"oil": 44.0}, 30)
+    assert SENSED.unpack_state(state).displacement == estimated[-1]
     with pytest.raises(InputError, match="no covariate 'pressure'"):
         SENSED.init_state(100.0, {"pressure": None})
 

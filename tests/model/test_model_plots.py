@@ -32,24 +32,24 @@ def band_of(axes, number):
 
 
 def drawn_vectors(direction, seed=0):
-    known = MODEL.uncertainty[direction].benchmark
-    return draw_parameters(MODEL.channels[direction].benchmark, known, PARAMETER_DRAWS, seed)
+    estimates = MODEL.uncertainty[direction].benchmark
+    return draw_parameters(MODEL.channels[direction].benchmark, estimates, PARAMETER_DRAWS, seed)
 
 
 def test_the_speed_map_shows_bands_measured_points_and_dead_zones():
     lifting, lowering = MODEL.plot(axes_of(2))
     assert set(lines(lifting)) == {"benchmark", "measured", "dead zone"}
     assert set(lines(lowering)) == {"90", "120", "measured", "dead zone"}
-    known = characteristics()
-    speeds = [(point.command, point.speed) for point in known.speed_map]
+    expected = characteristics()
+    speeds = [(point.command, point.speed) for point in expected.speed_map]
     np.testing.assert_array_equal(np.column_stack(lines(lifting)["benchmark"].get_data()), speeds)
     corners = {tuple(corner) for corner in band_of(lifting, 0)}
     highest = lifting.get_ylim()[1]
-    for point in known.speed_map:
+    for point in expected.speed_map:
         lower, upper = point.interval
         assert {(point.command, lower), (point.command, highest if upper is None else upper)} <= corners
     (zone,) = lifting.patches
-    assert (zone.get_x(), zone.get_x() + zone.get_width()) == pytest.approx(known.dead_zone.interval)
+    assert (zone.get_x(), zone.get_x() + zone.get_width()) == pytest.approx(expected.dead_zone.interval)
 
 
 def test_without_arguments_every_direction_has_its_levels_load_and_title():
@@ -62,7 +62,7 @@ def test_without_arguments_every_direction_has_its_levels_load_and_title():
     assert [axes.get_title(loc="left") for axes in model.plot()] == titles
 
 
-def test_a_model_without_intervals_shows_the_speed_that_its_parameters_give():
+def test_a_model_without_intervals_shows_the_speed_of_its_parameters():
     model = handmade.hitch("integrator-first-order", covered=handmade.envelope(command=(0.0, 0.6)))
     for axes, direction in zip(model.plot(axes_of(2)), model.channels, strict=True):
         zone, gain = handmade.DEAD_ZONES[direction], handmade.GAINS[direction]

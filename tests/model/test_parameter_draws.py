@@ -32,12 +32,12 @@ def benchmark():
 
 
 def test_logarithms_have_the_relative_standard_errors_and_the_correlation(benchmark):
-    known = estimates(
+    estimated = estimates(
         estimate("gain", GAIN, 0.1 * GAIN),
         estimate("natural_frequency", OMEGA, 0.2 * OMEGA),
         correlation=[[1.0, -0.8], [-0.8, 1.0]],
     )
-    logarithms = np.log(draw_parameters(benchmark, known, COUNT, seed=0)[:, :2] / [GAIN, OMEGA])
+    logarithms = np.log(draw_parameters(benchmark, estimated, COUNT, seed=0)[:, :2] / [GAIN, OMEGA])
     spread = np.array([0.1, 0.2])
     # Standard errors of mean, deviation and correlation over the draws; five of them.
     np.testing.assert_allclose(logarithms.mean(axis=0) / spread, 0, atol=5 / np.sqrt(COUNT))
@@ -48,19 +48,19 @@ def test_logarithms_have_the_relative_standard_errors_and_the_correlation(benchm
 def test_a_linear_parameter_is_drawn_as_it_is(benchmark):
     names = ["gain", "natural_frequency", "damping_ratio", "dead_time", "opening"]
     opening = float(benchmark.nonlinearity.values[0])
-    known = estimates(estimate("opening", opening, 0.05, linear=True, lower=-10.0, upper=10.0))
-    drawn = draw_parameters(benchmark, known, COUNT, seed=0)[:, names.index("opening")]
+    estimated = estimates(estimate("opening", opening, 0.05, linear=True, lower=-10.0, upper=10.0))
+    drawn = draw_parameters(benchmark, estimated, COUNT, seed=0)[:, names.index("opening")]
     assert (drawn.mean() - opening) / 0.05 == pytest.approx(0, abs=5 / np.sqrt(COUNT))
     assert drawn.std() / 0.05 == pytest.approx(1, abs=5 / np.sqrt(2 * COUNT))
 
 
 def test_a_parameter_without_a_standard_error_keeps_its_value(benchmark):
-    known = estimates(
+    estimated = estimates(
         estimate("gain", GAIN, 0.1 * GAIN),
         estimate("damping_ratio", DAMPING, None),
         correlation=[[1.0, 0.0], [0.0, 0.0]],
     )
-    drawn = draw_parameters(benchmark, known, 50, seed=0)
+    drawn = draw_parameters(benchmark, estimated, 50, seed=0)
     kept = np.delete(drawn, 0, axis=1)
     np.testing.assert_allclose(kept, np.tile(np.asarray(benchmark.parameter_vector)[1:], (50, 1)), rtol=1e-15)
     assert drawn[:, 0].std() > 0
@@ -76,24 +76,24 @@ def test_a_bound_leaves_what_two_parameters_determine_together(benchmark):
     # Log gain and log frequency vary by 2, their sum by 0.01: beyond the bounds the sum is still known.
     spread, known_sum = 2.0, 0.01
     correlation = -1 + 0.5 * (known_sum / spread) ** 2
-    known = estimates(
+    estimated = estimates(
         estimate("gain", GAIN, spread * GAIN, lower=0.5 * GAIN, upper=2 * GAIN),
         estimate("natural_frequency", OMEGA, spread * OMEGA),
         correlation=[[1.0, correlation], [correlation, 1.0]],
     )
-    logarithms = np.log(draw_parameters(benchmark, known, COUNT, seed=0)[:, :2] / [GAIN, OMEGA])
+    logarithms = np.log(draw_parameters(benchmark, estimated, COUNT, seed=0)[:, :2] / [GAIN, OMEGA])
     assert np.abs(logarithms[:, 0]).max() == pytest.approx(np.log(2), rel=1e-12)
     assert logarithms.sum(axis=1).std() == pytest.approx(known_sum, rel=5 / np.sqrt(2 * COUNT))
 
 
 def test_a_value_beyond_the_bounds_is_not_moved(benchmark):
-    known = estimates(estimate("gain", GAIN, None, lower=2 * GAIN, upper=3 * GAIN))
-    known = replace(known, correlation=((0.0,),))
-    assert set(draw_parameters(benchmark, known, 5, seed=0)[:, 0]) == {GAIN}
+    estimated = estimates(estimate("gain", GAIN, None, lower=2 * GAIN, upper=3 * GAIN))
+    estimated = replace(estimated, correlation=((0.0,),))
+    assert set(draw_parameters(benchmark, estimated, 5, seed=0)[:, 0]) == {GAIN}
 
 
 def test_draws_follow_from_the_seed(benchmark):
-    known = estimates(estimate("gain", GAIN, 0.1 * GAIN))
-    one, same, other = (draw_parameters(benchmark, known, 10, seed) for seed in (1, 1, 2))
+    estimated = estimates(estimate("gain", GAIN, 0.1 * GAIN))
+    one, same, other = (draw_parameters(benchmark, estimated, 10, seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, same)
     assert not np.array_equal(one, other)

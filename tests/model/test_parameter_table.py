@@ -46,8 +46,8 @@ def assessed(correlation=0.6, *, bands=True):
     characteristics = Characteristics("A", "mm/s", None, dead_zone, None, 0.9, None, None, (), ())
     information = Information(("gain",), (1.0,), ((1.0,),), ((1.0,),), ((0.0,),), (1.0,), 1, False, 5, 100.0)
     known_bands = handmade.with_bands(model, LIFTING).uncertainty[LIFTING].bands if bands else None
-    known = Uncertainty(estimates, known_bands, information, characteristics)
-    return replace(model, uncertainty={LIFTING: known})
+    assessment = Uncertainty(estimates, known_bands, information, characteristics)
+    return replace(model, uncertainty={LIFTING: assessment})
 
 
 def test_the_table_has_every_parameter_of_both_directions_with_its_interval():

@@ -14,7 +14,7 @@ from handmade import hitch, with_bands
 from hitchid.errors import LogError
 from hitchid.logs.campaign import Campaign
 from hitchid.logs.unification import LeftOut
-from hitchid.model import Provenance, TwoModes
+from hitchid.model import Information, LoadOfTest, LoadScatter, Provenance, TwoModes
 from hitchid.model.provenance import DifferenceTest
 from hitchid.validation import Validation
 from hitchid.validation.results import Accuracy, ChannelResult, ModelFigures, RunFigures
@@ -58,13 +58,21 @@ def model():
     )
     estimates = replace(estimates, correlation=((1.0, 0.3), (0.3, 1.0)))
     speeds = replace(characteristics(), load="pressure")
-    known = {
-        direction: replace(entry, benchmark=estimates, characteristics=speeds)
+    by_direction = {
+        direction: replace(
+            entry,
+            benchmark=estimates,
+            characteristics=speeds,
+            information=Information(
+                ("gain",), (1.0,), ((1.0,),), ((0.1 + 0.2,),), ((0.0,),), (1.0,), 1, False, 5, 9.5
+            ),
+            load_scatter=LoadScatter(0.04, (0.02, None), 0.1, (LoadOfTest("up-1", 0.01, (-1.0, 1 / 3)),)),
+        )
         for direction, entry in whole.uncertainty.items()
     }
     units = {**whole.units, "pressure": "bar"}
     modes = TwoModes(True, 1.0, 0.5, 12, DifferenceTest(10.0, ("gain",), 9.0, 1e-3))
-    return replace(whole, units=units, uncertainty=known, two_modes=modes, drift=-0.1)
+    return replace(whole, units=units, uncertainty=by_direction, two_modes=modes, drift=-0.1)
 
 
 @pytest.fixture(scope="module")
@@ -106,14 +114,14 @@ def test_one_sample_or_number_makes_the_difference(record, campaign, model, vali
     assert len({record, moved, copy.deepcopy(record)}) == 2
 
 
-def test_a_model_read_from_disk_equals_the_one_that_was_saved(model, tmp_path):
+def test_a_model_read_from_disk_equals_the_saved_one(model, tmp_path):
     hitchid.save(model, tmp_path / "model")
     loaded = hitchid.load(tmp_path / "model")
     assert loaded == model
     assert hash(loaded) == hash(model)
 
 
-def test_a_model_that_has_worked_can_be_copied_without_double_precision(record):
+def test_a_model_that_worked_is_copied_without_double_precision(record):
     worker = hitch("integrator-first-order")
     simulated = worker.simulate(record)  # leaves compiled functions with the model
     with jax.enable_x64(False):

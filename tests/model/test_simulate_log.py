@@ -88,7 +88,7 @@ def test_free_run_is_the_closed_form_beside_unchanged_columns(lifter, tmp_path):
 
 
 @pytest.mark.parametrize("horizon", [1, SAMPLES, 10**6, 10**30])
-def test_one_step_ahead_the_measurement_counts_and_far_ahead_the_start(lifter, tmp_path, horizon):
+def test_one_step_ahead_the_measurement_counts_far_ahead_the_start(lifter, tmp_path, horizon):
     _, rows = simulated(lifter, tmp_path, PLAIN, horizon=horizon)
     expected = np.r_[5.0, MEASURED[:-1] + np.diff(free_run())] if horizon == 1 else free_run()
     assert_predicted(rows, expected)
@@ -108,14 +108,14 @@ CASES = {
 
 
 @pytest.mark.parametrize("text", CASES.values(), ids=CASES.keys())
-def test_however_a_log_is_written_the_prediction_has_its_own_column(lifter, tmp_path, text):
+def test_however_a_log_is_written_predictions_have_their_own_column(lifter, tmp_path, text):
     header, rows = simulated(lifter, tmp_path, text)
     assert header[-1] == PREDICTED
     assert {len(row) for row in rows} == {len(header)}
     assert_predicted(rows, free_run())
 
 
-def test_a_gzipped_log_and_a_matlab_file_give_the_same_prediction(lifter, tmp_path):
+def test_gzipped_logs_and_matlab_files_give_the_same_prediction(lifter, tmp_path):
     _, rows = simulated(lifter, tmp_path, PLAIN)
     assert simulated(lifter, tmp_path, gzip.compress(PLAIN.encode()), file="z.csv.gz")[1] == rows
     beside = {
@@ -233,7 +233,7 @@ def test_commands_alone_are_read_by_signal_map_in_any_format(lifter, tmp_path):
         assert_predicted(rows, free_run(120.0))
 
 
-def test_a_load_that_is_given_replaces_the_covariate_of_the_log(tmp_path):
+def test_a_given_load_replaces_the_covariate_of_the_log(tmp_path):
     model = handmade.hitch_of(*(handmade.channel(mode, shape=True) for mode in ("lifting", "lowering")))
     (tmp_path / "campaign.toml").write_text(
         '[signals]\nlifting_command = "current_up_A"\nlowering_command = "current_down_A"\n'
@@ -266,7 +266,7 @@ def test_a_load_that_is_given_replaces_the_covariate_of_the_log(tmp_path):
         ("1", ("lifting", "lowering"), False),
     ],
 )
-def test_the_file_of_a_designed_test_is_simulated_as_it_is(tmp_path, unit, modes, mapped):
+def test_the_file_of_a_designed_test_is_simulated_unchanged(tmp_path, unit, modes, mapped):
     hitch = handmade.hitch(modes=modes)
     model = Hitch(hitch.channels, STEP_S, {**hitch.units, **{f"{mode}_command": unit for mode in modes}})
     proposal = Proposal(0.1, 0.4, 0.2, 3.0, 0, 10.0, {})

@@ -55,7 +55,7 @@ def logged(model, commands, *, step_s=STEP_S, start=START, pressure=None):
 
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("step_s", [STEP_S, 0.013])
-def test_commands_alone_move_the_model_as_those_of_a_log_do(name, step_s):
+def test_commands_alone_move_the_model_as_a_log_does(name, step_s):
     model, commands = MODELS[name], commands_of()
     commands = commands * [1, len(model.channels) - 1]
     load = 104.0 if name == "load" else None
@@ -104,9 +104,9 @@ def test_what_is_given_counts_instead_of_what_a_record_shows():
 def test_two_integrators_follow_their_closed_form(seed, start, samples):
     commands = commands_of(seed)[:samples]
     exact = moved(start, commands)
-    found = INTEGRATORS.simulate(commands, step_s=STEP_S, initial=start)
+    simulated = INTEGRATORS.simulate(commands, step_s=STEP_S, initial=start)
     rounding = samples * np.finfo(float).eps * np.abs(exact).max()
-    np.testing.assert_allclose(found.displacement, exact, rtol=0, atol=rounding)
+    np.testing.assert_allclose(simulated.displacement, exact, rtol=0, atol=rounding)
 
 
 FORMS = {
@@ -122,8 +122,8 @@ FORMS = {
 @pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
 def test_commands_come_in_any_form(form):
     expected = INTEGRATORS.simulate(commands_of(), step_s=STEP_S, initial=START)
-    found = INTEGRATORS.simulate(form(commands_of()), step_s=STEP_S, initial=START)
-    np.testing.assert_array_equal(found.displacement, expected.displacement)
+    simulated = INTEGRATORS.simulate(form(commands_of()), step_s=STEP_S, initial=START)
+    np.testing.assert_array_equal(simulated.displacement, expected.displacement)
 
 
 def test_one_channel_takes_its_command_alone_and_with_both_signs():
@@ -136,7 +136,7 @@ def test_one_channel_takes_its_command_alone_and_with_both_signs():
     np.testing.assert_allclose(up.displacement - START, START - down.displacement, rtol=0, atol=EXACT)
 
 
-def test_the_mode_is_that_of_the_command_and_hold_without_one():
+def test_the_mode_is_the_commands_and_hold_without_one():
     commands = np.zeros((60, 2))
     commands[10:20, 0], commands[30:40, 1] = 0.8, 0.8
     commands[50:55, 0] = 0.9 * DEAD_ZONES[LIFTING]
@@ -168,7 +168,7 @@ def test_samples_outside_the_identified_range_are_flagged_and_marked():
     assert not INTEGRATORS.simulate(commands, step_s=STEP_S, initial=START).out_of_range.any()
 
 
-def test_the_band_of_each_run_is_that_of_the_run_alone():
+def test_each_run_has_the_band_of_the_run_alone():
     model = with_bands(INTEGRATORS, LIFTING, LOWERING)
     commands = commands_of()
     together = model.simulate(commands, step_s=STEP_S, initial=[80.0, START]).band(0.8)
@@ -297,7 +297,7 @@ def test_the_commands_of_a_measured_log_are_enough(data):
         assert np.ptp(alone.displacement) > 10.0
 
 
-def test_models_of_like_structure_share_the_programs_of_their_free_runs(compilations):
+def test_models_of_like_structure_share_programs_of_free_runs(compilations):
     commands = levels(np.random.default_rng(3), 200, low=0.3)[:, None] * [1.0, 0.0]
 
     def model_with(dead_zone, end_stop, upper, drift):

@@ -47,8 +47,10 @@ def with_map(model, *, open_level=None, errors=(0.05, 0.02)):
         reported.estimate(name, value=0.1, error=error, interval=(None, None), linear=True)
         for name, error in zip(("position_slope", "gain_by_pressure"), errors, strict=True)
     )
-    known = Uncertainty(Estimates(estimates, (), ((1.0, 0.0), (0.0, 1.0)), 5, 5), None, None, characteristics)
-    return replace(model, uncertainty={LIFTING: known})
+    assessed = Uncertainty(
+        Estimates(estimates, (), ((1.0, 0.0), (0.0, 1.0)), 5, 5), None, None, characteristics
+    )
+    return replace(model, uncertainty={LIFTING: assessed})
 
 
 def test_speed_is_gain_times_the_effective_command_signed_as_displacement():
@@ -88,38 +90,38 @@ def test_commands_displacements_and_loads_broadcast():
     assert CURVED.speed(0.9).speed == CURVED.speed(0.9, displacement=100.0, load=120.0).speed
 
 
-def test_the_band_is_that_of_the_speed_map_at_its_points():
+def test_at_its_points_the_band_is_the_speed_maps():
     model = with_map(curved(gain_by_pressure=0.3))
-    found = model.speed(np.array(LEVELS)[:, None], load=np.array(LOADS))
-    np.testing.assert_allclose(found.band.lower, 0.9 * found.speed, rtol=1e-12)
-    np.testing.assert_allclose(found.band.upper, 1.2 * found.speed, rtol=1e-12)
+    steady = model.speed(np.array(LEVELS)[:, None], load=np.array(LOADS))
+    np.testing.assert_allclose(steady.band.lower, 0.9 * steady.speed, rtol=1e-12)
+    np.testing.assert_allclose(steady.band.upper, 1.2 * steady.speed, rtol=1e-12)
 
 
-def test_the_band_ends_at_the_dead_zone_and_stays_beyond_the_map():
+def test_the_band_ends_at_the_dead_zone_and_stays_beyond():
     model = with_map(curved())
-    found = model.speed([0.1, 0.3, 0.34, 0.45, 0.7, 3.0])
-    np.testing.assert_allclose(found.band.upper[:2], 0.0, atol=0)
+    steady = model.speed([0.1, 0.3, 0.34, 0.45, 0.7, 3.0])
+    np.testing.assert_allclose(steady.band.upper[:2], 0.0, atol=0)
     # Between the lower end of the dead zone's interval, 0.3 A, and the lowest level, 0.6 A.
     wide = 0.2 * 30 * 0.25 * np.array([0.04, 0.15]) / 0.3
-    np.testing.assert_allclose(found.band.upper[2:4], found.speed[2:4] + wide, rtol=1e-12)
-    assert found.band.lower[2] == 0.0
-    np.testing.assert_allclose(found.band.lower[4:], 0.9 * found.speed[4:], rtol=1e-12)
+    np.testing.assert_allclose(steady.band.upper[2:4], steady.speed[2:4] + wide, rtol=1e-12)
+    assert steady.band.lower[2] == 0.0
+    np.testing.assert_allclose(steady.band.lower[4:], 0.9 * steady.speed[4:], rtol=1e-12)
 
 
 def test_an_open_interval_opens_the_band_next_to_it():
-    found = with_map(curved(), open_level=1.2).speed([0.8, 0.9, 1.0, 1.2, 1.5])
-    assert np.isinf(found.band.upper).tolist() == [False, False, True, True, True]
+    steady = with_map(curved(), open_level=1.2).speed([0.8, 0.9, 1.0, 1.2, 1.5])
+    assert np.isinf(steady.band.upper).tolist() == [False, False, True, True, True]
 
 
 def test_away_from_mid_stroke_the_strokes_gain_error_counts():
     model = with_map(curved(position_slope=0.2))
-    found = model.speed(0.9, displacement=130.0)
+    steady = model.speed(0.9, displacement=130.0)
     # ξ = 0.5, slope ± 0.05; in quadrature with the 20 % of the map.
     share = np.hypot(0.2, 1.959963984540054 * 0.5 * 0.05)
-    np.testing.assert_allclose(found.band.upper / found.speed - 1, share, rtol=1e-12)
-    found = model.speed(0.9, load=165.0)
+    np.testing.assert_allclose(steady.band.upper / steady.speed - 1, share, rtol=1e-12)
+    steady = model.speed(0.9, load=165.0)
     share = np.hypot(0.2, 1.959963984540054 * (165.0 - 140.0) / 25.0 * 0.02)
-    np.testing.assert_allclose(found.band.upper / found.speed - 1, share, rtol=1e-12)
+    np.testing.assert_allclose(steady.band.upper / steady.speed - 1, share, rtol=1e-12)
     unknown = with_map(curved(position_slope=0.2), errors=(None, 0.02))
     assert np.isinf(unknown.speed(0.9, displacement=130.0).band.upper)
     assert np.isfinite(unknown.speed(0.9).band.upper)
@@ -127,9 +129,9 @@ def test_away_from_mid_stroke_the_strokes_gain_error_counts():
 
 def test_a_lowering_band_has_its_smaller_end_first():
     channel = replace(curved().channels[LIFTING], sign=-1)
-    found = with_map(handmade.hitch_of(channel)).speed([0.6, 0.9])
-    assert np.all(found.speed < 0)
-    assert np.all((found.band.lower < found.speed) & (found.speed < found.band.upper))
+    steady = with_map(handmade.hitch_of(channel)).speed([0.6, 0.9])
+    assert np.all(steady.speed < 0)
+    assert np.all((steady.band.lower < steady.speed) & (steady.speed < steady.band.upper))
 
 
 @settings(max_examples=10)
@@ -141,9 +143,7 @@ def test_a_lowering_band_has_its_smaller_end_first():
     displacement=st.floats(20.0, 180.0),
     shares=st.lists(st.floats(1e-3, 1.0), min_size=1, max_size=9),
 )
-def test_the_speed_at_the_command_for_a_speed_is_that_speed(
-    opening, exponent, saturation, load, displacement, shares
-):
+def test_the_command_for_a_speed_gives_that_speed(opening, exponent, saturation, load, displacement, shares):
     model = curved(
         opening=opening,
         exponent=exponent,
@@ -206,7 +206,7 @@ def test_what_has_no_inverse_is_refused():
         curved(opening=0.9, opening_by_pressure=0.3).inverse_table(load=180.0)
 
 
-def test_a_table_is_written_with_units_and_never_over_a_file(tmp_path):
+def test_a_table_is_written_with_units_over_no_file(tmp_path):
     table = COVERED.inverse_table(LOWERING)
     path = tmp_path / "tables" / "lowering.csv"
     table.to_csv(path)

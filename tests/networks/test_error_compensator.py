@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hitchid.identification.phase2 import _sequences
-from hitchid.model.channel import ErrorPredictor, multi_step_errors
+from hitchid.model.channel import multi_step_errors
 from hitchid.model.load_filter import LoadFilter
 from hitchid.networks.error_compensator import (
     COMPENSATOR_FEATURES,
@@ -79,8 +79,7 @@ def compensator(untrained):
 
 @eqx.filter_jit
 def roll(compensator, test, trust, horizon, step_s):
-    predictor = ErrorPredictor(LoadFilter.none(), compensator)
-    return multi_step_errors(predictor, test, trust, horizon, step_s)
+    return multi_step_errors(LoadFilter.none(), compensator, test, trust, horizon, step_s)
 
 
 run_free = eqx.filter_jit(free_run)

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from hitchid.errors import InputError
 from hitchid.model import Bands, PredictionSpread
 from hitchid.model.bands import free_run_half_width
 from hitchid.uncertainty.conformal import (
@@ -138,13 +137,6 @@ def test_a_sample_where_all_alternatives_agree_scores_finitely():
     assert 1e6 < outside < np.inf
 
 
-def test_the_half_width_in_free_run_joins_noise_and_spread():
-    spread = np.array([0.0, 0.1, 3.0])
-    # z(95 %) = 1.959964 to seven digits.
-    expected = np.sqrt((1.959964 * 0.1) ** 2 + (2.0 * spread) ** 2)
-    np.testing.assert_allclose(free_run_half_width([BANDS], [spread], 0.95), expected, rtol=1e-6)
-
-
 def test_between_levels_and_horizons_bands_are_interpolated():
     assert [BANDS.multiplier(level) for level in LEVELS] == list(BANDS.free_run)
     assert BANDS.multiplier(0.85) == pytest.approx(1.25)
@@ -200,15 +192,3 @@ def test_with_too_few_tests_every_test_has_its_share_inside(rows):
     assert len(rows) < fewest_tests(0.9)
     for row in rows:
         assert np.count_nonzero(row > quantile * (1 + 1e-9)) <= 0.1 * row.size + 1
-
-
-@pytest.mark.parametrize("coverage", [0.49, 0.96, 95.0, float("nan")])
-def test_coverage_beyond_the_levels_is_refused(coverage):
-    complaint = f"coverage: expected between 0.5 and 0.95, got {coverage:g}"
-    for ask in (
-        lambda: BANDS.multiplier(coverage),
-        lambda: BANDS.half_width(coverage, 1, np.zeros(1)),
-        lambda: free_run_half_width([BANDS], [np.ones(3)], coverage),
-    ):
-        with pytest.raises(InputError, match=complaint):
-            ask()

@@ -1,6 +1,5 @@
 """What tests say of the parameters together, and what one more would."""
 
-import json
 from dataclasses import asdict, replace
 from functools import cache
 
@@ -10,10 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
-from hitchid._support.files import canonical_json
 from hitchid.estimation import MultiStart
 from hitchid.identification.phase1 import identify_benchmark
-from hitchid.model import Bands, EnsembleMember, Information, PredictionSpread, Uncertainty
+from hitchid.model import Information, Uncertainty
 from hitchid.structures import ModelSpec, structure_named
 from hitchid.uncertainty import NO_ERROR, DeadZoneError
 from hitchid.uncertainty.influence import (
@@ -153,23 +151,6 @@ def test_the_autocovariance_of_a_markov_process_is_found(left, every):
     # twenty lags that hang together, 4 standard errors.
     error = np.sqrt(2 * (1 + left**2) / (1 - left**2) / (tests * samples))
     np.testing.assert_allclose(covariance, expected, rtol=0, atol=4 * error)
-
-
-def test_what_is_known_comes_back_from_json(identified):
-    phase1 = identified(dead_zone=DeadZoneError(0.01, 3))
-    bands = Bands(
-        (EnsembleMember((1.0, 2.0), 1, 0.5), EnsembleMember((3.0,))),
-        0.1,
-        (0.5,),
-        (1.0,),
-        PredictionSpread(0.1, 0.5, (1,), (2.0,), (0.3,), ((1.0,),)),
-        (8, 3),
-    )
-    whole = Uncertainty(phase1.assessment, bands=bands, information=gathered(phase1))
-    for uncertainty in (whole, Uncertainty(phase1.assessment)):
-        assert READ.validate_python(json.loads(canonical_json(asdict(uncertainty)))) == uncertainty
-    back = READ.validate_python(json.loads(canonical_json(asdict(whole)))).information
-    np.testing.assert_array_equal(standard_errors(back), standard_errors(whole.information))
 
 
 @pytest.mark.parametrize("spoil", [{"curvature": [[1.0, None]]}, {"block_size": "often"}, {"names": "gain"}])

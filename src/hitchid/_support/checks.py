@@ -42,6 +42,7 @@ def named_arguments(function: Callable[Arguments, Result]) -> Callable[Arguments
         try:
             return function(*args, **kwargs)
         except TypeError:
+            # Only arguments that do not fit: a TypeError from within the function stays what it is.
             signature = inspect.signature(function)
             try:
                 signature.bind(*args, **kwargs)
@@ -60,31 +61,38 @@ def number(value: object, name: str, *, above: float = -math.inf) -> float:
     Raises:
         InputError: the value is no finite number, or not larger than `above`.
     """
+    required = f"a finite number above {above:g}" if above > -math.inf else "a finite number"
+    values = array(value, name, required, "a number")
+    if values.shape != () or not above < float(values) < math.inf:
+        raise input_error(name, required, value)
+    return float(values)
+
+
+def array(value: object, name: str, required: str, readable: str = "") -> np.ndarray:
+    """Return integers or real numbers as an array; raises `InputError` for anything else.
+
+    `readable` names what is required of a value of which NumPy makes no array; `required` by default.
+    """
     try:
-        array = np.asarray(value)
-        is_valid = array.shape == () and array.dtype.kind in "iuf" and above < float(array) < math.inf
+        values = np.asarray(value)
     except (TypeError, ValueError) as error:
-        raise input_error(name, "a number", value) from error
-    if not is_valid:
-        raise input_error(
-            name, f"a finite number above {above:g}" if above > -math.inf else "a finite number", value
-        )
-    return float(array)
+        raise input_error(name, readable or required, value) from error
+    if values.dtype.kind not in "iuf":
+        raise input_error(name, required, value)
+    return values
 
 
 def numbers(value: object, name: str) -> np.ndarray:
     """Return finite real numbers as an array of any shape; raises `InputError` for anything else."""
-    try:
-        array = np.asarray(value)
-    except (TypeError, ValueError) as error:
-        raise input_error(name, "numbers", value) from error
-    if array.dtype.kind not in "iuf" or not np.all(np.isfinite(array)):
+    values = array(value, name, "finite numbers", "numbers")
+    if not np.all(np.isfinite(values)):
         raise input_error(name, "finite numbers", value)
-    return array.astype(float)
+    return values.astype(float)
 
 
 def integer(value: object, name: str, *, minimum: int = 0) -> int:
     """Return an integer of at least `minimum`; raises `InputError` for any other value."""
+    # A truth value is an integer to Python, and no count to a user.
     if isinstance(value, bool) or not isinstance(value, Integral) or value < minimum:
         raise input_error(name, f"a whole number of at least {minimum}", value)
     return int(value)

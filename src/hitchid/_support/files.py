@@ -41,6 +41,7 @@ def lines(stream: Iterable[str], quiet_s: float, when_quiet: Callable[[], object
     if file is None:
         yield from (line.rstrip("\n") for line in stream)
         return
+    # Not by the lines of the stream: what its buffer holds already, `select` would wait for in vain.
     begun = bytearray()
     while True:
         if quiet_s > 0 and not select.select([file], [], [], quiet_s)[0]:
@@ -118,10 +119,12 @@ def write_folder(folder: Path, write: Callable[[Path], None], *, result_kind: st
                 temporary,
                 {MANIFEST_FILE: canonical_json({"kind": result_kind, "files": _digests(temporary)})},
             )
+            # `mkdtemp` lets nobody but its owner in.
             os.chmod(temporary, 0o755)  # noqa: S103
             # Contents reach the disk before the name does: after a power cut no result is empty.
             fsync(*temporary.rglob("*"), temporary)
             check_folder(folder, result_kind=result_kind, force=force)  # it may exist by now
+            # The older result stays beside until the new one has its name: one of them is whole at any time.
             backup = temporary.with_name(f"{temporary.name}-older")
             if target.exists():
                 target.rename(backup)
@@ -182,6 +185,7 @@ def _lock(folder: Path) -> int | None:
 def _digests(folder: Path) -> dict[str, str]:
     """Return path to SHA-256 of the files below a folder except its manifest; "" for no regular file."""
     paths = sorted(path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir())
+    # Where a link leads is none of the result: it counts as changed, and is never replaced.
     return {
         path.relative_to(folder).as_posix(): ""
         if path.is_symlink() or not path.is_file()

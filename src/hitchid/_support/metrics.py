@@ -79,11 +79,6 @@ def rmse_error(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray]) ->
     return float(np.sqrt((tests - 1) / tests * np.sum((leave_one_out - leave_one_out.mean()) ** 2)))
 
 
-def significantly_better(errors: np.ndarray, other_errors: np.ndarray, samples: np.ndarray) -> bool:
-    """Return whether `better_p_value` is below 2.5 %; the arguments are the same."""
-    return better_p_value(errors, other_errors, samples) < SIGNIFICANCE
-
-
 def better_p_value(errors: np.ndarray, other_errors: np.ndarray, samples: np.ndarray) -> float:
     """Return the one-sided p-value of one model having a smaller error than another over the same tests.
 

@@ -30,6 +30,7 @@ def parallel(work: Callable[[Name], Result], names: Iterable[Name]) -> dict[Name
     Threads suffice: JAX compiles and computes without Python's global interpreter lock. An exception is
     raised after all tasks have ended.
     """
+    # Two at least: also on one core the directions go on side by side.
     with ThreadPoolExecutor(max(2, os.cpu_count() or 1)) as executor:
         # JAX's precision is a setting per thread.
         futures = {name: executor.submit(double_precision(work), name) for name in names}

@@ -33,6 +33,7 @@ def connected_module(
     # Not by `-m`: a package that imports the module would have it run a second time, of which Python warns.
     program = f"import sys; from {module} import main; main(sys.argv[1:])"
     own, other = socket.socketpair()
+    # Closed here: otherwise the connection would not end with the process.
     with other:
         process = subprocess.Popen(  # noqa: S603 - this Python, a module of this package
             [sys.executable, "-P", "-c", program, str(other.fileno()), *arguments],

@@ -20,6 +20,7 @@ def attempt(description: str, compute: Callable[[], Result], notices: list[str])
     """
     try:
         return compute()
+    # A full disk is no fault of this part: the run ends, and can be resumed.
     except OutputError:
         raise
     except Exception as error:

@@ -166,6 +166,7 @@ class _JsonLines:
         if step.stage == stage and now_s - printed_s < SHORTEST_S and not step.message:
             return
         self._last[step.task] = step.stage, now_s
+        # JSON knows neither NaN nor infinity.
         figures = {name: value for name, value in step.figures.items() if isfinite(value)}
         content = {**step._asdict(), "figures": figures}
         sys.stderr.write(f"{json.dumps({'progress': content})}\n")

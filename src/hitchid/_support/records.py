@@ -145,6 +145,7 @@ class Value:
 
     def __reduce__(self) -> tuple:
         """Return the constructor's arguments for `pickle` and `copy`."""
+        # Through the constructor: what makes a record read-only runs again.
         return rebuild, (type(self), field_values(self))
 
 

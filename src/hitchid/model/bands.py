@@ -82,6 +82,7 @@ class PredictionSpread:
         return self._at(horizon, [np.interp(coverage, levels, row) for row in self.multipliers])
 
     def _at(self, horizon: int, values: Sequence[float]) -> float:
+        # Over the logarithm: there the calibrated horizons are about evenly spaced.
         return float(np.interp(np.log(horizon), np.log(self.horizons), values))
 
 

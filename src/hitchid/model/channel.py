@@ -1,7 +1,6 @@
 """Model of one direction of a hitch: dead zone, benchmark, compensators."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -25,21 +24,10 @@ from hitchid.structures import Batch, PhysicalModel
 # Predictions of the error of a benchmark over several horizons, from every sample of measured tests.
 
 
-class ErrorPredictor(NamedTuple):
-    """What predicts the error of a benchmark.
-
-    Attributes:
-        load_filter: estimates offset and load.
-        compensator: predicts the innovations of the filter; None for none.
-    """
-
-    load_filter: LoadFilter
-    compensator: Compensator | None
-
-
 @eqx.filter_jit
 def predict_errors(
-    predictor: ErrorPredictor,
+    load_filter: LoadFilter,
+    compensator: Compensator | None,
     tests: Sample,
     trust: Float[Array, "t n"],
     horizons: tuple[int, ...],
@@ -48,13 +36,16 @@ def predict_errors(
 ) -> Float[Array, "h t n"]:
     """Return the prediction ê at every sample from measurements up to h samples before, for each h.
 
+    The filter estimates offset and load, the compensator, if any, predicts the innovations of the filter.
     Near the start of a test, sample k < h is predicted from sample 0. The trust, 0 to 1, is a factor on the
     predicted increments. Predictions start from every `every`-th sample; those from other samples are NaN.
     """
 
     def errors_of_test(test_and_trust: tuple[Sample, Array]) -> Float[Array, "h n"]:
         test, test_trust = test_and_trust
-        errors_ahead = multi_step_errors(predictor, test, test_trust, max(horizons), step_s, every)
+        errors_ahead = multi_step_errors(
+            load_filter, compensator, test, test_trust, max(horizons), step_s, every
+        )
         # errors_ahead[h − 1, i] is for sample i · every + h; the origin of the first samples is sample 0.
         sample_index = jnp.arange(test_trust.size)
         rows = []
@@ -70,7 +61,8 @@ def predict_errors(
 
 
 def multi_step_errors(
-    predictor: ErrorPredictor,
+    load_filter: LoadFilter,
+    compensator: Compensator | None,
     test: Sample,
     trust: Float[Array, " n"],
     horizon: int,
@@ -84,7 +76,6 @@ def multi_step_errors(
     """
     count = trust.shape[0]
     origins = np.arange(0, count, every)
-    load_filter, compensator = predictor
     _, estimates = load_filter.estimates(test.benchmark, test.displacement, step_s, every)
 
     def filtered(estimates: ErrorEstimate, first: int) -> Float[Array, "k m"]:
@@ -242,6 +233,7 @@ class Channel(eqx.Module):
     def limited(self, batch: Batch, travel: Float[Array, "t n"]) -> Float[Array, "t n"]:
         """Return the displacement of a travel, within the end stop and the limits, shape [T, N]."""
         if self.end_stop is not None:
+            # A stroke that begins beyond the stop stays where it begins.
             max_travel = jnp.maximum(self.sign * (self.end_stop - batch.initial), 0.0)
             travel = jnp.minimum(travel, max_travel[:, None])
         displacement = batch.to_displacement(travel)
@@ -266,7 +258,7 @@ class Channel(eqx.Module):
         tests = Sample(time_s, batch.command, benchmark, batch.displacement)
         trust = self.operating_range.trust(jnp.abs(batch.command), benchmark, self._load(batch)[:, None])
         return benchmark + predict_errors(
-            ErrorPredictor(self.load_filter, self.compensator), tests, trust, horizons, batch.step_s, every
+            self.load_filter, self.compensator, tests, trust, horizons, batch.step_s, every
         )
 
 

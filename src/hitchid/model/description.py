@@ -40,10 +40,10 @@ Tensors = Mapping[str, np.ndarray]
 MAX_NUMBER = 1e9  # size of a stored number, beyond which products of two are no weights; chosen
 
 
-def tensors_of(tree: object, prefix: str) -> dict[str, np.ndarray]:
-    """Return path to array, `prefix/field/…`, for every array of a part."""
+def tensors_of(tree: object) -> dict[str, np.ndarray]:
+    """Return path to array, `part/field/…`, for every array of a tree."""
     leaves = jax.tree_util.tree_leaves_with_path(tree)
-    return {_name(prefix, path): np.array(leaf, order="C") for path, leaf in leaves}
+    return {_name(path): np.array(leaf, order="C") for path, leaf in leaves}
 
 
 def fill(skeleton: Part, tensors: Tensors, prefix: str) -> Part:
@@ -55,7 +55,7 @@ def fill(skeleton: Part, tensors: Tensors, prefix: str) -> Part:
     """
 
     def leaf(path: tuple, like: np.ndarray | jax.Array) -> object:
-        name = _name(prefix, path)
+        name = f"{prefix}/{_name(path)}"
         stored = tensors.get(name)
         if stored is None or stored.shape != like.shape or stored.dtype != like.dtype:
             got = "none" if stored is None else f"shape {stored.shape}, {stored.dtype}"
@@ -97,8 +97,8 @@ def check_size(tensors: Tensors, count: int) -> None:
         raise ValueError("the description lists more weights than the tensor file contains")
 
 
-def _name(prefix: str, path: tuple) -> str:
-    return f"{prefix}/{jax.tree_util.keystr(path, simple=True, separator='/')}"
+def _name(path: tuple) -> str:
+    return jax.tree_util.keystr(path, simple=True, separator="/")
 
 
 # Conversion between a channel and JSON and tensors.
@@ -107,10 +107,9 @@ _SCALES = ("command", "centre", "span")
 _TRAINED = ("compensator", "speed_compensator", "operating_range", "load_filter")
 
 
-def channel_tensors(channel: Channel, prefix: str) -> dict[str, np.ndarray]:
-    """Return the arrays of the trained parts, `prefix/part/path`."""
-    parts = [tensors_of(getattr(channel, component), f"{prefix}/{component}") for component in _TRAINED]
-    return {name: array for component in parts for name, array in component.items()}
+def trained_parts(channel: Channel) -> dict[str, object]:
+    """Return the parts of a channel that are stored as arrays, by name."""
+    return {name: getattr(channel, name) for name in _TRAINED}
 
 
 def describe_channel(channel: Channel) -> dict[str, object]:
@@ -147,6 +146,7 @@ def describe_channel(channel: Channel) -> dict[str, object]:
             "window": compensator.window,
             "max_horizon": compensator.max_horizon,
             "hidden": compensator.network.cell.hidden_size,
+            # By name, so that a version with other features refuses the model.
             "features": list(COMPENSATOR_FEATURES),
         },
         "speed_compensator": None
@@ -164,6 +164,7 @@ def read_channel(direction: str, described: ChannelDescription, tensors: Tensors
     Raises:
         ValueError: the tensors are not those of the channel.
     """
+    # One zero stands for no covariate, as in every load; see `mean_load`.
     loads = len(described.covariates) or 1
     channel = Channel(
         direction=direction,
@@ -239,6 +240,7 @@ def _read_compensator(
         return None
     check_size(tensors, described.hidden**2)
     count = len(COMPENSATOR_FEATURES)
+    # Any weights of the right shapes: the stored ones replace them.
     skeleton = Compensator(
         Lstm.init(jax.random.key(0), count, described.hidden),
         jnp.zeros(count),
@@ -293,6 +295,7 @@ def describe(hitch: Hitch) -> dict[str, object]:
             subset: {direction: list(names) for direction, names in getattr(provenance, subset).items()}
             for subset in SUBSETS
         },
+        # Sorted, for a set has no order: equal models have equal bytes.
         "seen": sorted(provenance.seen),
         "cut_at": dict(provenance.segmentation_dead_zones),
         "seed": provenance.seed,
@@ -306,8 +309,7 @@ def describe(hitch: Hitch) -> dict[str, object]:
 
 def deployed_tensors(hitch: Hitch) -> dict[str, np.ndarray]:
     """Return the arrays of the channels, `direction/part/path`."""
-    parts = [channel_tensors(channel, direction) for direction, channel in hitch.channels.items()]
-    return {name: array for component in parts for name, array in component.items()}
+    return tensors_of({direction: trained_parts(channel) for direction, channel in hitch.channels.items()})
 
 
 def read_hitch(described: ModelDescription, tensors: Tensors) -> Hitch:
@@ -321,6 +323,7 @@ def read_hitch(described: ModelDescription, tensors: Tensors) -> Hitch:
         seen=described.seen,
         segmentation_dead_zones=described.cut_at,
         seed=described.seed,
+        # Only what was written: saved again, the model has the same bytes.
         settings=described.settings.model_dump(exclude_unset=True),
         versions=described.versions,
         set_by_hand=described.set_by_hand,

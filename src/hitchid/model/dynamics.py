@@ -17,18 +17,11 @@ from hitchid._support.bounded import MAX_MAGNITUDE
 from hitchid.logs.kinds import ACTIVE_FRACTION
 from hitchid.logs.record import DIRECTIONS
 from hitchid.model.channel import Channel
-from hitchid.model.error_prediction import clip_at_end_stops, compute_features, predict_innovation, select
 from hitchid.model.inputs import channel_load, mean_load
 from hitchid.model.load_filter import OFFSET, LoadFilter
-from hitchid.model.state import (
-    ChannelState,
-    HitchState,
-    NetworkInput,
-    NetworkOutput,
-    SpeedCompensatorState,
-)
-from hitchid.networks.error_compensator import FeatureState, Sample
-from hitchid.networks.lstm import SINGLE
+from hitchid.model.state import ChannelState, HitchState, SpeedCompensatorState, select
+from hitchid.networks.error_compensator import COMPENSATOR_FEATURES, Compensator, FeatureState, Sample
+from hitchid.networks.lstm import SINGLE, LstmState
 from hitchid.structures import DiscretePhysicalModel, ValveState
 
 STANDING = -1  # `HitchState.mode` before the first effective command: no channel is active
@@ -52,17 +45,25 @@ class HitchDynamics(eqx.Module):
     @classmethod
     def of(cls, channels: Sequence[Channel], step_s: float, drift: float | None) -> "HitchDynamics":
         """Return the dynamics of channels, their benchmarks discretised at a sampling time."""
-        return cls(
-            tuple(channels),
-            tuple(_discrete_model(channel, step_s) for channel in channels),
-            drift or None,
-            step_s,
-        )
+        models = []
+        for channel in channels:
+            highest = float(channel.operating_range.command.highest)
+            full_scale = channel.dead_zone + (highest if isfinite(highest) else 0.0)
+            models.append(
+                DiscretePhysicalModel.of(
+                    channel.benchmark,
+                    dead_zone=channel.dead_zone,
+                    min_command=ACTIVE_FRACTION * full_scale,
+                    sign=channel.sign,
+                    step_s=step_s,
+                )
+            )
+        # No drift is None, not zero: nothing of it is then compiled.
+        return cls(tuple(channels), tuple(models), drift or None, step_s)
 
-    def standing_state(self, displacement: float = 0.0, load: Sequence[float] | None = None) -> HitchState:
-        """Return the state of a hitch at rest with closed valves, by default at the tests' mean load."""
-        row = mean_load(self.channels) if load is None else load
-        return self.init_state(jnp.asarray(float(displacement)), jnp.asarray(row, dtype=float))
+    def standing_state(self) -> HitchState:
+        """Return the state at rest with closed valves at zero and the tests' mean load: the form of any."""
+        return self.init_state(jnp.zeros(()), jnp.asarray(mean_load(self.channels), dtype=float))
 
     def init_state(self, displacement: Float[Array, ""], load: Float[Array, " l"]) -> HitchState:
         """Return the state of a hitch at rest with closed valves.
@@ -115,9 +116,23 @@ class HitchDynamics(eqx.Module):
             measured: displacement at this sample; not finite where it was not measured.
         """
         next_state, reset, demands = self._take_charge(state, commands, measured)
-        next_state, network_input = self._move(next_state, reset, demands)
-        hidden, output = self._advance_network(next_state.hidden, network_input)
-        return next_state._replace(hidden=hidden, **output._asdict()), output.displacement
+        # The features are of this sample, so they are read before the physics move on.
+        next_state, scaled_features, trust = self._compute_features(next_state, reset)
+        next_state = self._advance_physics(next_state, demands)
+        hidden, predicted = self._predict_innovation(next_state, scaled_features, reset)
+        innovation = trust * predicted
+        error = next_state.estimates.error[jnp.maximum(next_state.mode, 0)] + innovation
+        # Before the first measurement nothing is known of the error: the model is in free run, whose
+        # compensator corrects the speed. After it the filter knows more, and corrects the benchmark instead.
+        displacement = jnp.where(
+            next_state.samples_since_measurement >= 0,
+            self.within_end_stops(next_state, next_state.benchmark) + error,
+            self.within_end_stops(next_state, next_state.free_run),
+        )
+        next_state = next_state._replace(
+            displacement=displacement, error=error, innovation=innovation, hidden=hidden
+        )
+        return next_state, displacement
 
     def _take_charge(
         self, state: HitchState, commands: Float[Array, "2"], measured: Float[Array, ""]
@@ -145,7 +160,7 @@ class HitchDynamics(eqx.Module):
             # If both valves demand motion, the last direction takes precedence: lowering.
             mode = jnp.where(demand, number, mode)
         # The measurement belongs to this sample, at which the last channel was still in charge: its filter is
-        # corrected before another channel takes over.
+        # corrected before another channel takes over, which would move the benchmark to where the piston is.
         next_state = self._with_measurement(state, measured, is_measured)._replace(
             mode=mode,
             commands=commands,
@@ -164,7 +179,7 @@ class HitchDynamics(eqx.Module):
         estimated = next_state.estimates.error[jnp.maximum(state.mode, 0)]
         displacement = jnp.where(
             is_measured,
-            clip_at_end_stops(self.channels, state, state.benchmark) + estimated,
+            self.within_end_stops(state, state.benchmark) + estimated,
             state.displacement,
         )
         entering = (mode != state.mode) & (state.mode != STANDING)
@@ -175,50 +190,47 @@ class HitchDynamics(eqx.Module):
             )
         # After the takeover: the variance of the last filter goes over into the new one.
         next_state = self._start_filter(next_state, state.mode)
+        # Features begin anew with a channel, and with the first measurement: before it there is no error.
         reset = (mode != state.mode) | (is_measured & (state.samples_since_measurement < 0))
         return next_state, reset, demands
 
-    def _move(
-        self, state: HitchState, reset: Bool[Array, ""], demands: list[Bool[Array, ""]]
-    ) -> tuple[HitchState, NetworkInput]:
-        """Return the next state without the network's prediction, and its inputs; see `_advance_network`."""
-        # The features are of this sample, so they are read before the benchmark moves on.
-        state, scaled_features, trust = compute_features(self.channels, state, reset, self.step_s)
-        modelled = clip_at_end_stops(self.channels, state, state.benchmark)
+    def _advance_physics(self, state: HitchState, demands: list[Bool[Array, ""]]) -> HitchState:
+        """Return the state with the piston, in benchmark and free run, and the load filters moved on."""
+        modelled = self.within_end_stops(state, state.benchmark)
         for number in range(len(self.channels)):
             state = self._advance_channel(number, state)
-        # Drift moves a held piston, and is held at the limits of the plant like any other motion: clip last.
-        state = self._clip_at_limits(self._apply_drift(state, ~jnp.any(jnp.stack(demands))))
-        # The filter's input is what the benchmark really moved, between the stops.
-        benchmark = clip_at_end_stops(self.channels, state, state.benchmark)
-        state = state._replace(
+        is_held = ~jnp.any(jnp.stack(demands))
+        limits, moved = self.channels[0].limits, []
+        for displacement in (state.benchmark, state.free_run):
+            if self.drift is not None:
+                # From the stop where the model is beyond it: there the real piston stands and creeps.
+                crept = self.within_end_stops(state, displacement) + self.drift * self.step_s
+                displacement = jnp.where(is_held, crept, displacement)
+            # Last, as drift is held at the limits of the plant like any other motion.
+            moved.append(displacement if limits is None else limits.clip(displacement, state.start))
+        state = state._replace(benchmark=moved[0], free_run=moved[1])
+        # The filter's input is what the benchmark really moved, between the stops: beyond them no load shows.
+        # All filters advance alike, though only the active one counts: which, is known at run time.
+        increment = self.within_end_stops(state, state.benchmark) - modelled
+        return state._replace(
             estimates=self._load_filters.advance(
-                state.estimates, jnp.broadcast_to(benchmark - modelled, len(self.channels)), self.step_s
+                state.estimates, jnp.broadcast_to(increment, len(self.channels)), self.step_s
             )
-        )
-        return state, NetworkInput(
-            channel_index=jnp.maximum(state.mode, 0),
-            scaled_features=scaled_features,
-            index_in_window=state.feature_state.index_in_window,
-            trust=trust,
-            reset=reset,
-            error=state.estimates.error[jnp.maximum(state.mode, 0)],
-            benchmark=benchmark,
-            free_run=clip_at_end_stops(self.channels, state, state.free_run),
-            has_measurement=state.samples_since_measurement >= 0,
         )
 
     @property
     def _load_filters(self) -> LoadFilter:
         """The load filters of all channels, parameters of shape [C]."""
-        return jax.tree.map(lambda *values: jnp.stack(values), *(each.load_filter for each in self.channels))
+        return jax.tree.map(
+            lambda *values: jnp.stack(values), *(channel.load_filter for channel in self.channels)
+        )
 
     def _with_measurement(
         self, state: HitchState, measured: Float[Array, ""], is_measured: Bool[Array, ""]
     ) -> HitchState:
         """Return the state with corrected filters; unmeasured, they take the predicted innovation."""
         count = state.samples_since_measurement
-        error = measured - clip_at_end_stops(self.channels, state, state.benchmark)
+        error = measured - self.within_end_stops(state, state.benchmark)
         corrected = self._load_filters.correct(
             state.estimates, jnp.broadcast_to(jnp.where(is_measured, error, 0.0), len(self.channels))
         )
@@ -230,33 +242,64 @@ class HitchDynamics(eqx.Module):
 
     def _start_filter(self, state: HitchState, last_mode: Int[Array, ""]) -> HitchState:
         """Start the filter of a channel that takes charge: its load is unknown."""
-        known, from_rest = state.estimates, last_mode == STANDING
+        estimates, from_rest = state.estimates, last_mode == STANDING
         # A channel that takes over starts at the estimated displacement, which leaves no offset, with the
         # variance of that estimate; the first one keeps what was measured at rest.
-        offset = jnp.where(from_rest, known.mean[OFFSET], 0.0)
-        variance = jnp.where(from_rest, known.variance, known.variance[last_mode])
+        offset = jnp.where(from_rest, estimates.mean[OFFSET], 0.0)
+        variance = jnp.where(from_rest, estimates.variance, estimates.variance[last_mode])
         fresh = self._load_filters.init_estimate(offset, self.step_s)
         started = fresh._replace(
             mean=fresh.mean.at[OFFSET].set(offset),
             covariance=fresh.covariance.at[OFFSET, OFFSET].set(variance),
         )
-        return state._replace(estimates=select(state.mode != last_mode, started, known))
+        return state._replace(estimates=select(state.mode != last_mode, started, estimates))
 
-    def _advance_network(
-        self, hidden: Float32[Array, "2 2 h"], network_input: NetworkInput
-    ) -> tuple[Float32[Array, "2 2 h"], NetworkOutput]:
-        """Return the network's next state, and what it completes at the next sample."""
-        predictors = [partial(predict_innovation, channel.compensator) for channel in self.channels]
-        hidden, predicted = jax.lax.switch(network_input.channel_index, predictors, hidden, network_input)
-        innovation = network_input.trust * predicted
-        error = network_input.error + innovation
-        displacement = jnp.where(
-            network_input.has_measurement, network_input.benchmark + error, network_input.free_run
+    def _compute_features(
+        self, state: HitchState, reset: Bool[Array, ""]
+    ) -> tuple[HitchState, Float32[Array, "10"], Float[Array, ""]]:
+        """Return the state with new features of the active channel, the scaled features, and their trust.
+
+        The trust is zero without a measured displacement within the compensator's largest horizon.
+        """
+        since, displacement = state.samples_since_measurement, self.within_end_stops(state, state.benchmark)
+        selected = state.feature_state, jnp.zeros(len(COMPENSATOR_FEATURES), SINGLE), jnp.zeros(())
+        for number, channel in enumerate(self.channels):
+            if channel.compensator is None:
+                continue
+            channel_state = state.channels[number]
+            effective = channel_state.valve.effective
+            time_s = self.step_s * channel_state.samples_in_charge.astype(displacement.dtype)
+            sample = Sample(time_s, effective, displacement, displacement + state.error)
+            load = channel_load(self.channels, number, state.load)
+            trust = channel.operating_range.trust(jnp.abs(effective), displacement, load)
+            previous = select(reset, FeatureState.at_rest(sample), state.feature_state)
+            feature_state, scaled_features = channel.compensator.update_features(
+                previous, sample, self.step_s
+            )
+            # Longer without a measurement the network is not asked: it may diverge on its own output.
+            recent = (since >= 0) & (since < channel.compensator.max_horizon)
+            own = feature_state, scaled_features, trust
+            selected = select(recent & (state.mode == number), own, selected)
+        return state._replace(feature_state=selected[0]), *selected[1:]
+
+    def _predict_innovation(
+        self, state: HitchState, scaled_features: Float32[Array, "10"], reset: Bool[Array, ""]
+    ) -> tuple[Float32[Array, "2 2 h"], Float[Array, ""]]:
+        """Return the next state of the active network, and the innovation at the next sample."""
+        # A switch, not a choice between the outputs of all: only the active channel's network is computed.
+        networks = [partial(_advance_network, channel.compensator) for channel in self.channels]
+        return jax.lax.switch(
+            jnp.maximum(state.mode, 0),
+            networks,
+            state.hidden,
+            state.feature_state.index_in_window,
+            scaled_features,
+            reset,
         )
-        return hidden, NetworkOutput(displacement, error, innovation)
 
     def zero_lstm_state(self) -> Float32[Array, "2 2 h"]:
         """Return the zero state of a network, of the largest size of all channels."""
+        # One state serves the networks of all channels, of which one at a time is active.
         sizes = [
             channel.compensator.network.cell.hidden_size
             for channel in self.channels
@@ -264,28 +307,14 @@ class HitchDynamics(eqx.Module):
         ]
         return jnp.zeros((2, 2, max(sizes, default=0)), SINGLE)
 
-    def _clip_at_limits(self, state: HitchState) -> HitchState:
-        """Clip benchmark and free run to the limits of the plant."""
-        limits = self.channels[0].limits
-        if limits is None:
-            return state
-        return state._replace(
-            benchmark=limits.clip(state.benchmark, state.start),
-            free_run=limits.clip(state.free_run, state.start),
-        )
-
-    def _apply_drift(self, state: HitchState, is_held: Bool[Array, ""]) -> HitchState:
-        """Apply the drift of a held piston, starting from the end stop if it is beyond one."""
-        if self.drift is None:
-            return state
-        drift_travel = self.drift * self.step_s
-        benchmark, free = (
-            jnp.where(
-                is_held, clip_at_end_stops(self.channels, state, displacement) + drift_travel, displacement
-            )
-            for displacement in (state.benchmark, state.free_run)
-        )
-        return state._replace(benchmark=benchmark, free_run=free)
+    def within_end_stops(self, state: HitchState, displacement: Float[Array, ""]) -> Float[Array, ""]:
+        """Return a displacement clipped to the end stops, or to the start of a stroke beyond them."""
+        for channel in self.channels:
+            if channel.end_stop is not None:
+                farther = jnp.maximum if channel.sign > 0 else jnp.minimum
+                nearer = jnp.minimum if channel.sign > 0 else jnp.maximum
+                displacement = nearer(displacement, farther(channel.end_stop, state.start))
+        return displacement
 
     def _init_channel(
         self,
@@ -311,7 +340,8 @@ class HitchDynamics(eqx.Module):
     def _speed(self, mode: Int[Array, ""], state: HitchState) -> Float[Array, ""]:
         """Return the speed of the piston; zero at an end stop or a limit of the plant."""
         speed = jnp.zeros(())
-        inside = clip_at_end_stops(self.channels, state, state.benchmark) == state.benchmark
+        # At a stop the piston stands, though the benchmark, which is not clipped there, goes on beyond it.
+        inside = self.within_end_stops(state, state.benchmark) == state.benchmark
         limits = self.channels[0].limits
         if limits is not None:
             inside &= limits.is_inside(state.benchmark, state.start)
@@ -351,10 +381,12 @@ class HitchDynamics(eqx.Module):
         in_charge = state.mode == number
         plant, increment = discrete_model.advance(channel_state.plant, channel_state.valve, state.benchmark)
         increment = jnp.where(in_charge, increment, 0.0)
+        # Before the first motion time runs for all, as from the first sample of a test in the fast form.
         is_active = in_charge | (state.mode == STANDING)
         correction, factor = self._correct_speed(number, channel_state, is_active, increment, state)
         next_channel_state = ChannelState(
             channel_state.valve,
+            # The linear dynamics of the others are at rest; only their valves follow the command.
             jnp.where(in_charge, plant, channel_state.plant),
             channel_state.samples_in_charge + is_active,
             correction,
@@ -362,6 +394,7 @@ class HitchDynamics(eqx.Module):
         )
         return state._replace(
             benchmark=state.benchmark + increment,
+            # A factor on the movement, so that no network moves a piston that stands.
             free_run=state.free_run + factor * increment,
             channels=_replace_item(state.channels, number, next_channel_state),
         )
@@ -391,18 +424,23 @@ class HitchDynamics(eqx.Module):
         return select(is_active, advanced, correction), factor
 
 
+def _advance_network(
+    compensator: Compensator | None,
+    hidden: Float32[Array, "2 2 h"],
+    index_in_window: Int[Array, ""],
+    scaled_features: Float32[Array, "10"],
+    reset: Bool[Array, ""],
+) -> tuple[Float32[Array, "2 2 h"], Float[Array, ""]]:
+    if compensator is None:
+        return hidden, jnp.zeros(())
+    size = compensator.network.cell.hidden_size
+    previous = jnp.where(reset, 0.0, hidden[..., :size])
+    lstm_state, increment = compensator.predict_increment(
+        LstmState(*previous), index_in_window, scaled_features
+    )
+    return hidden.at[..., :size].set(jnp.stack(lstm_state)), increment
+
+
 def _replace_item(items: tuple, index: int, item: object) -> tuple:
     """Return a tuple with the item at an index replaced."""
     return (*items[:index], item, *items[index + 1 :])
-
-
-def _discrete_model(channel: Channel, step_s: float) -> DiscretePhysicalModel:
-    highest = float(channel.operating_range.command.highest)
-    full_scale = channel.dead_zone + (highest if isfinite(highest) else 0.0)
-    return DiscretePhysicalModel.of(
-        channel.benchmark,
-        dead_zone=channel.dead_zone,
-        min_command=ACTIVE_FRACTION * full_scale,
-        sign=channel.sign,
-        step_s=step_s,
-    )

@@ -24,7 +24,6 @@ from hitchid._support.screen import shortened
 from hitchid.errors import InputError, ModelFolderError
 from hitchid.model.description import (
     Tensors,
-    channel_tensors,
     check_known,
     deployed_tensors,
     describe,
@@ -34,6 +33,7 @@ from hitchid.model.description import (
     read_hitch,
     shapes_of,
     tensors_of,
+    trained_parts,
 )
 from hitchid.model.hitch import Hitch
 from hitchid.model.rivals import Rivals
@@ -70,13 +70,15 @@ def describe_rivals(rivals: Mapping[str, Rivals]) -> dict[str, object]:
 
 def rivals_tensors(rivals: Mapping[str, Rivals]) -> dict[str, np.ndarray]:
     """Return the arrays of the rivals, `direction/baselines/…` and `direction/paper/…`."""
-    tensors = {}
-    for direction, of_direction in rivals.items():
-        for name, fitted in of_direction.baselines.items():
-            tensors |= tensors_of(fitted, f"{direction}/baselines/{name}")
-        if of_direction.paper is not None:
-            tensors |= channel_tensors(of_direction.paper, f"{direction}/paper")
-    return tensors
+    return tensors_of(
+        {
+            direction: {
+                "baselines": dict(fitted.baselines),
+                "paper": None if fitted.paper is None else trained_parts(fitted.paper),
+            }
+            for direction, fitted in rivals.items()
+        }
+    )
 
 
 def read_rivals(described: Mapping[Direction, RivalsOfDirection], tensors: Tensors) -> dict[str, Rivals]:
@@ -144,6 +146,7 @@ def save(
         WEIGHTS_FILE: save_tensors(deployed_tensors(hitch)),
         TRACE_FILE: canonical_json(trace or {}),
     }
+    # After the other files, whose digests its own digest seals.
     content = _sealed(describe(hitch), files)
     files[MODEL_FILE] = canonical_json(content)
     if hitch.rivals:
@@ -181,7 +184,9 @@ def load(folder: str | Path) -> Hitch:
     with _refused(path / WEIGHTS_FILE):
         tensors = load_tensors(weights)
         hitch = read_hitch(described, tensors)
+        # An array that nothing reads is none that `save` wrote.
         check_known(tensors, deployed_tensors(hitch))
+    # Name and day are those of the folder and no part of the model: a copy of it is the same model.
     written = datetime.fromtimestamp((path / MODEL_FILE).stat().st_mtime, UTC)
     provenance = replace(hitch.provenance, name=path.resolve().name, date=f"{written:%Y-%m-%d}")
     return replace(hitch, provenance=provenance, rivals=_load_rivals(path, described))

@@ -68,6 +68,8 @@ class FreeRun(NamedTuple):
 def free_run(dynamics: HitchDynamics, inputs: FreeRunInputs) -> FreeRun:
     """Return the free run of each initial condition; several are advanced at the same time."""
     initial = jnp.asarray(inputs.initial.row)
+    # One sample more than there are: the last command moves the piston to a displacement beyond the record,
+    # which is dropped.
     commands = pad_with_nan(inputs.commands, 1)
     simulate = simulate_free_run if initial.ndim == 1 else simulate_free_runs
     count = len(inputs.commands)
@@ -81,9 +83,16 @@ def ensemble_free_runs(
     members: Sequence[HitchDynamics], inputs: FreeRunInputs
 ) -> Float[np.ndarray, "a *m n"]:
     """Return the displacement of the free runs of several hitches, shape [A, N] or [A, M, N]."""
-    initial = jnp.asarray(inputs.initial.row)
-    rows = simulate_ensemble(members, initial, pad_with_nan(inputs.commands, 1))
-    return _with_initial(rows[..., : len(inputs.commands)], inputs.initial)
+    initial, commands = jnp.asarray(inputs.initial.row), pad_with_nan(inputs.commands, 1)
+    groups: dict[object, list[int]] = {}
+    for number, dynamics in enumerate(members):
+        groups.setdefault(jax.tree.structure(dynamics), []).append(number)
+    displacements = np.empty((len(members), *initial.shape[:-1], len(commands)))
+    # Members of one structure are stacked: they are compiled once, not each.
+    for indices in groups.values():
+        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *(members[number] for number in indices))
+        displacements[indices] = _simulate_stacked(stacked, initial, commands)
+    return _with_initial(displacements[..., : len(inputs.commands)], inputs.initial)
 
 
 def _with_initial(next_displacement: np.ndarray, initial: InitialCondition) -> Float[np.ndarray, "*b n"]:
@@ -97,6 +106,7 @@ def multi_step_predictions(
 ) -> list[Float[np.ndarray, " n"]]:
     """Return the predictions of all samples for each horizon; see `Hitch.predictions`."""
     count = len(record)
+    # No sample is farther from the first one than the record is long: a longer horizon predicts the same.
     longest = min(max(horizons), count)
     commands, measured = (
         pad_with_nan(samples, longest) for samples in (commands_of(record), record.displacement)
@@ -123,6 +133,7 @@ def commands_of(record: Record) -> Float[np.ndarray, "n 2"]:
 
 def numbers_as_arrays(dynamics: HitchDynamics) -> HitchDynamics:
     """Return dynamics whose numbers are inputs of compiled functions: models of like structure share them."""
+    # Were they constants of the program, each machine of a fleet would compile its own.
     return jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, dynamics)
 
 
@@ -130,6 +141,7 @@ def pad_with_nan(samples: np.ndarray, extra: int) -> Array:
     """Append at least `extra` NaN, up to a length for which the functions are compiled already."""
     width = padded_length(len(samples) + extra)
     padding = ((0, width - len(samples)), *((0, 0) for _ in samples.shape[1:]))
+    # Not zero, which a user may have commanded or measured: NaN is what the step takes as missing.
     return jnp.asarray(np.pad(samples, padding, constant_values=np.nan))
 
 
@@ -140,6 +152,7 @@ def simulate_free_run(
     """Return displacement after each sample without measurements; until then, channel and whether held."""
 
     def advance(state: HitchState, command: Array) -> tuple[HitchState, tuple[Array, Array, Array]]:
+        # Also the free run is a step without a measurement: it cannot part from what runs on a machine.
         state, displacement = dynamics.step(state, command, jnp.asarray(jnp.nan))
         demands = [channel.valve.motion_demand[-1] for channel in state.channels]
         return state, (displacement, state.mode, ~jnp.any(jnp.stack(demands)))
@@ -153,21 +166,6 @@ def simulate_free_runs(
 ) -> tuple[Float[Array, "m n"], Int[Array, "m n"], Bool[Array, "m n"]]:
     """Return `simulate_free_run` for several initial conditions."""
     return jax.vmap(lambda row: simulate_free_run(dynamics, row, commands))(initial)
-
-
-def simulate_ensemble(
-    members: Sequence[HitchDynamics], initial: Float[Array, "*m i"], commands: Float[Array, "n 2"]
-) -> Float[np.ndarray, "a *m n"]:
-    """Return displacement after each sample for several hitches; one compiled call for each structure."""
-    groups: dict[object, list[int]] = {}
-    for number, dynamics in enumerate(members):
-        groups.setdefault(jax.tree.structure(dynamics), []).append(number)
-    displacements = np.empty((len(members), *initial.shape[:-1], len(commands)))
-    # Members of one structure are stacked: they are compiled once, not each.
-    for indices in groups.values():
-        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *(members[number] for number in indices))
-        displacements[indices] = _simulate_stacked(stacked, initial, commands)
-    return displacements
 
 
 @eqx.filter_jit
@@ -198,12 +196,14 @@ def predict_from_origins(
         state, _ = dynamics.step(state, *inputs)
         return state, state
 
+    # One pass with measurements gives the states at all origins.
     _, states = jax.lax.scan(
         advance_measured, dynamics.init_state(initial[0], initial[1:]), (commands[:count], measured[:count])
     )
 
     def coast(state: HitchState, origin: Array) -> Float[Array, " h"]:
         def advance(state: HitchState, steps_ahead: Array) -> tuple[HitchState, Array]:
+            # The state that follows a measured sample is one sample ahead of it already.
             next_state, _ = dynamics.step(state, commands[origin + steps_ahead], jnp.asarray(jnp.nan))
             return next_state, state.displacement
 
@@ -296,6 +296,7 @@ def ensemble_members(dynamics: HitchDynamics, bands: Sequence[Bands]) -> list[Hi
     members = []
     for number, (channel, channel_bands) in enumerate(zip(dynamics.channels, bands, strict=True)):
         for member in channel_bands.ensemble:
+            # One channel at a time: the squares of their deviations add.
             channels = list(dynamics.channels)
             channels[number] = perturbed_channel(channel, member)
             perturbed = HitchDynamics.of(channels, dynamics.step_s, dynamics.drift)

@@ -75,6 +75,7 @@ class Hitch(Value, Summarised, Handover):
 
     def __post_init__(self) -> None:
         """Make channels and units read-only, and sort channels in the order of `DIRECTIONS`."""
+        # The order counts: with both valves open the last channel moves the piston, which is lowering.
         ordered = {name: self.channels[name] for name in DIRECTIONS if name in self.channels}
         object.__setattr__(self, "channels", MappingProxyType(ordered))
         object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
@@ -308,13 +309,13 @@ class Hitch(Value, Summarised, Handover):
         initial = simulation.condition_before_motion(model_record, self.channels)
         (predicted,) = multi_step_predictions(self.dynamics, model_record, initial, (horizon,), 1)
         movement = predicted - last_measured(model_record.displacement, float(initial.displacement), horizon)
-        half_widths = np.stack([each.half_width(coverage, horizon, movement) for each in bands])
+        half_widths = np.stack([own.half_width(coverage, horizon, movement) for own in bands])
+        # From the commands alone; before the first effective one no channel is in charge: the widest band.
         active_channel = self.simulate(record).run.active_channel
         by_channel = np.take_along_axis(half_widths, np.maximum(active_channel, 0)[None], axis=0)[0]
-        half_width = np.where(active_channel < 0, half_widths.max(axis=0), by_channel)
+        rows = predicted, np.where(active_channel < 0, half_widths.max(axis=0), by_channel)
         centre, half_width = (
-            simulation.to_record_units(row, self.units, model_record, record)
-            for row in (predicted, half_width)
+            simulation.to_record_units(row, self.units, model_record, record) for row in rows
         )
         return Band(centre - half_width, centre + half_width)
 
@@ -327,9 +328,9 @@ class Hitch(Value, Summarised, Handover):
     def bands(self) -> dict[str, Bands]:
         """Direction to the bands of its channel; without those that have none."""
         return {
-            direction: known.bands
-            for direction, known in self.uncertainty.items()
-            if direction in self.channels and known.bands is not None
+            direction: uncertainty.bands
+            for direction, uncertainty in self.uncertainty.items()
+            if direction in self.channels and uncertainty.bands is not None
         }
 
     @named_arguments
@@ -420,6 +421,7 @@ class Hitch(Value, Summarised, Handover):
 
     def free_run_dynamics(self, *, compensated: bool = True) -> HitchDynamics:
         """Return the dynamics without the compensator for predictions, or without any compensator."""
+        # The network for predictions corrects from what was measured, which a free run has not.
         removed = {"compensator": None} if compensated else {"compensator": None, "speed_compensator": None}
         channels = [replace(channel, **removed) for channel in self.channels.values()]
         return HitchDynamics.of(channels, self.step_s, self.drift)
@@ -437,6 +439,7 @@ class Hitch(Value, Summarised, Handover):
     def _functions_of(self, state: Packed) -> StepFunctions:
         """Return the functions that a state is of; raises InputError where it is not of this model."""
         checks.instance(state, Packed, "state", STATE_REQUIRED)
+        # By shapes alone, as a state may be traced. Without covariates there is no hitch at many loads.
         at_many_loads = np.ndim(state.hidden) == LOAD_BANK_NDIM and covariates_of(self.channels.values())
         functions = self._load_bank_functions if at_many_loads else self._step_functions
         if not functions.accepts(state):

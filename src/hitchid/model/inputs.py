@@ -50,6 +50,7 @@ def record_or_commands(
     if isinstance(value, str | Path):
         return required_record(value)
     if isinstance(value, Frame):
+        # Columns named as commands, or a sampling time beside the table: then it has no clock of its own.
         has_commands = {COMMAND[direction] for direction in directions} <= set(value.columns)
         return value if has_commands or step_s is not None else required_record(value)
     if isinstance(value, Value) and not isinstance(value, Record):
@@ -120,13 +121,11 @@ def _by_role(commands: Commands, directions: Sequence[str]) -> dict[str, np.ndar
 
 def _numbers(values: Numbers, *dimensions: int) -> np.ndarray:
     """Return an array of real numbers of one of the given numbers of dimensions."""
+    # `asarray` would drop the mask, and take what it hides for commands.
     if np.ma.is_masked(values):
         raise InputError("commands: expected numbers without a mask, got a masked array")
-    try:
-        array = np.asarray(values)
-    except (TypeError, ValueError) as error:
-        raise checks.input_error("commands", "numbers", values) from error
-    if array.dtype.kind not in "iuf" or array.ndim not in dimensions:
+    array = checks.array(values, "commands", COMMANDS, "numbers")
+    if array.ndim not in dimensions:
         raise checks.input_error("commands", COMMANDS, values)
     return array.astype(np.float64)
 
@@ -196,6 +195,7 @@ def load_to_estimate(
     """
     if not isinstance(load, Mapping):
         return load_row(load, channels, owner)
+    # Any number in place of None: the others are checked with it, and NaN replaces it.
     row = load_row({name: 0.0 if value is None else value for name, value in load.items()}, channels, owner)
     names = covariates_of(channels)
     not_measured = np.array([name in load and load[name] is None for name in names])
@@ -219,7 +219,7 @@ def channel_load(
     channels: Sequence["Channel"], number: int, load: Float[Array, "*m l"]
 ) -> Float[Array, "*m c"]:
     """Return the covariates of one channel from those of the hitch; one zero where it has none."""
-    names, known = channels[number].benchmark.covariates, covariates_of(channels)
+    names, all_names = channels[number].benchmark.covariates, covariates_of(channels)
     if not names:
         return jnp.zeros((*load.shape[:-1], 1))
-    return load[..., np.array([known.index(name) for name in names])]
+    return load[..., np.array([all_names.index(name) for name in names])]

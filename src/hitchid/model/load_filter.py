@@ -94,6 +94,7 @@ class LoadFilter(eqx.Module):
     @double_precision
     def none(cls) -> "LoadFilter":
         """Return the filter whose estimate is the last measured error, which stays."""
+        # Without noise and load any drift makes the gain one: the offset is the last error, whatever it was.
         zero, one, never = jnp.zeros(()), jnp.ones(()), jnp.asarray(jnp.inf)
         return cls(zero, zero, never, zero, never, one)
 
@@ -107,6 +108,7 @@ class LoadFilter(eqx.Module):
         zero = jnp.zeros_like(like)
         offset_variance = self.noise**2 + self.drift**2 * step_s
         mean = jnp.stack([zero, zero, zero])
+        # At rest the displacement is known to the sensor's noise, the load is not; there is no transient yet.
         covariance = [
             [zero + offset_variance, zero, zero],
             [zero, zero + self.load_scatter**2, zero],
@@ -117,8 +119,8 @@ class LoadFilter(eqx.Module):
     def correct(self, estimate: ErrorEstimate, error: Float[Array, "*b"]) -> ErrorEstimate:
         """Return the estimate with a measured error.
 
-        An error that is farther from the expected one than `JUMP` standard deviations is not due to the load:
-        the sensor or the implement was moved. The offset then takes it at once, and the load stays.
+        An error that is farther from the expected one than `LOAD_JUMP` standard deviations is not due to the
+        load: the sensor or the implement was moved. The offset then takes it at once, and the load stays.
 
         The covariance is updated in Joseph form, (I − K h) P (I − K h)ᵀ + K r² Kᵀ, which stays symmetric and
         non-negative with rounding (Bucy & Joseph 1968, Filtering for Stochastic Processes, sec. 16.3).
@@ -132,6 +134,7 @@ class LoadFilter(eqx.Module):
         variance = jnp.maximum(seen[OFFSET] + seen[TRANSIENT] + self.noise**2, LOAD_TINY)
         expected = entries.mean[OFFSET] + entries.mean[TRANSIENT]
         is_jump = (error - expected) ** 2 > LOAD_JUMP**2 * variance
+        # The offset takes all of a jump, load and transient nothing.
         at_jump = (1.0, 0.0, 0.0)
         offset, load, transient = gain = tuple(
             jnp.where(is_jump, jump, part / variance) for jump, part in zip(at_jump, seen, strict=True)
@@ -165,6 +168,7 @@ class LoadFilter(eqx.Module):
         """Return the estimate at the next sample; see `advance`."""
         transient_kept = jnp.exp(-step_s / self.transient_time)
         transition = [[1.0, increment, 0.0], [0.0, load_kept, 0.0], [0.0, 0.0, transient_kept]]
+        # What load and transient forget their disturbances add again: the scatter of each stays as it is.
         disturbances = [
             self.drift**2 * step_s,
             (1 - load_kept**2) * self.load_scatter**2,
@@ -191,6 +195,7 @@ class LoadFilter(eqx.Module):
         """
         increments = jnp.diff(benchmark, axis=0, append=benchmark[-1:])
 
+        # Estimates are kept at the first sample of each block; what pads the last one comes after that.
         def in_blocks(rows: Array) -> Array:
             padded = jnp.pad(rows, ((0, -len(rows) % every), *((0, 0),) * (rows.ndim - 1)))
             return padded.reshape(-1, every, *rows.shape[1:])

@@ -26,10 +26,10 @@ def draws_of(
     """
     checks.integer(seed, "seed")
     checks.integer(count, "draws", minimum=1)
-    known = model.uncertainty.get(direction)
-    if known is None or not any(parameter.error for parameter in known.benchmark.parameters):
+    uncertainty = model.uncertainty.get(direction)
+    if uncertainty is None or not any(parameter.error for parameter in uncertainty.benchmark.parameters):
         return None
-    return draw_parameters(model.channels[direction].benchmark, known.benchmark, count, seed)
+    return draw_parameters(model.channels[direction].benchmark, uncertainty.benchmark, count, seed)
 
 
 def draw_parameters(

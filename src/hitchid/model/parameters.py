@@ -317,6 +317,7 @@ def with_parameters(model: "Hitch", changes: Mapping[str, Mapping[str, float] | 
             estimates = _without_intervals(uncertainty[direction].benchmark, checked)
             uncertainty[direction] = Uncertainty(estimates)
         set_by_hand[direction] = {**set_by_hand.get(direction, {}), **checked}
+    # Without the digest, as no folder holds this model.
     provenance = replace(model.provenance, set_by_hand=set_by_hand, digest="") if given else model.provenance
     return replace(model, channels=channels, uncertainty=uncertainty, rivals=rivals, provenance=provenance)
 
@@ -325,12 +326,12 @@ def _checked(
     channel: Channel, uncertainty: Uncertainty | None, direction: str, values: Mapping[str, float]
 ) -> dict[str, float]:
     """Return values as numbers; raise InputError for unknown names and values that are not admissible."""
-    known = definitions(channel, uncertainty)
-    checks.mapping_of(values, known, direction)
+    parameters = definitions(channel, uncertainty)
+    checks.mapping_of(values, parameters, direction)
     current = values_of(channel)
     checked = {name: checks.number(value, f"{direction} {name}") for name, value in values.items()}
     for name, value in checked.items():
-        lower, upper, open_below = _admissible(known[name], channel, current[name], uncertainty)
+        lower, upper, open_below = _admissible(parameters[name], channel, current[name], uncertainty)
         if not lower <= value <= upper or (open_below and value == lower):
             required = f"more than {lower:g}" if open_below else f"from {lower:.4g} to {upper:.4g}"
             raise InputError(f"{direction} {name}: expected {required}, got {value:.4g}")
@@ -351,7 +352,7 @@ def _admissible(
     if parameter.scale is not Scale.NONE:
         return (-inf, inf, False) if parameter.linear else (0.0, inf, True)
     estimates = () if uncertainty is None else uncertainty.benchmark.parameters
-    searched = [(each.lower, each.upper) for each in estimates if each.name == parameter.name]
+    searched = [(estimate.lower, estimate.upper) for estimate in estimates if estimate.name == parameter.name]
     lowers, uppers = zip((parameter.lower, parameter.upper), (current, current), *searched, strict=True)
     lower = 0.0 if parameter.name == DEAD_TIME.name else min(lowers)
     return lower, max(uppers), False
@@ -388,11 +389,11 @@ def _without_intervals(estimates: Estimates, values: Mapping[str, float]) -> Est
     estimated with them, or one without a standard error, whose correlations are not known.
     """
     parameters = estimates.parameters
-    known = {parameter.name for parameter in parameters}
+    estimated = {parameter.name for parameter in parameters}
     selected = [number for number, parameter in enumerate(parameters) if parameter.name in values]
     steps = np.array([_standard_steps(parameters[i], values[parameters[i].name]) for i in selected])
     correlation = np.array(estimates.correlation)
-    if known >= set(values) and np.all(np.isfinite(steps)) and correlation.size:
+    if estimated >= set(values) and np.all(np.isfinite(steps)) and correlation.size:
         block = correlation[np.ix_(selected, selected)]
         shifts = np.abs(correlation[:, selected] @ np.linalg.pinv(block, hermitian=True) @ steps)
     else:

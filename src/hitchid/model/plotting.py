@@ -41,24 +41,26 @@ def plot_speed_map(model: "Hitch", axes: "Axes | Sequence[Axes] | np.ndarray | N
     Raises:
         InputError: another number of axes is given, or a channel has no steady speed.
     """
+    # matplotlib is imported where something is drawn: a model that is loaded and stepped needs none.
     from hitchid.plots import draw_dead_zone
     from hitchid.plots.style import canvas
 
     with canvas(axes, 1, len(model.channels), height_in=MAP_IN, legend_each=True) as drawn:
-        for each, (direction, channel) in zip(drawn, model.channels.items(), strict=True):
-            known = _characteristics(model, direction)
-            if known is None:
-                _draw_nominal(each, model, channel)
-                draw_dead_zone(each, channel.dead_zone, None, None)
+        for panel, (direction, channel) in zip(drawn, model.channels.items(), strict=True):
+            characteristics = _characteristics(model, direction)
+            if characteristics is None:
+                _draw_nominal(panel, model, channel)
+                draw_dead_zone(panel, channel.dead_zone, None, None)
             else:
-                draw_characteristics(each, known)
+                draw_characteristics(panel, characteristics)
             if axes is None:
                 title = direction
-                if known is not None:
-                    unit = f" / {model.units[known.load]}" if known.load and known.load in model.units else ""
-                    load = "" if known.load is None else f", by {known.load}{unit}"
+                if characteristics is not None:
+                    name = characteristics.load
+                    unit = f" / {model.units[name]}" if name and name in model.units else ""
+                    load = "" if name is None else f", by {name}{unit}"
                     title = f"{direction}{load}, 95 % bands"
-                each.set_title(title, loc="left")
+                panel.set_title(title, loc="left")
     return drawn
 
 
@@ -221,8 +223,8 @@ def _directions(model: "Hitch", direction: str | None) -> tuple[str, ...]:
 
 
 def _characteristics(model: "Hitch", direction: str) -> Characteristics | None:
-    known = model.uncertainty.get(direction)
-    return None if known is None else known.characteristics
+    uncertainty = model.uncertainty.get(direction)
+    return None if uncertainty is None else uncertainty.characteristics
 
 
 @double_precision
@@ -247,9 +249,11 @@ def _step_responses(
     model: "Hitch", direction: str, commands: Sequence[float] | None, duration_s: float | None, seed: int
 ) -> list[responses.StepResponse]:
     """Return the responses of one direction to the given or the default levels."""
-    channel, known = model.channels[direction], _characteristics(model, direction)
+    channel, characteristics = model.channels[direction], _characteristics(model, direction)
     if commands is None:
-        mapped = () if known is None else tuple(point.command for point in known.speed_map)
+        mapped = (
+            () if characteristics is None else tuple(point.command for point in characteristics.speed_map)
+        )
         levels = responses.default_levels(channel, mapped)
     else:
         levels = [checks.number(level, "commands", above=0.0) for level in np.ravel(commands)]

@@ -119,6 +119,7 @@ class PhysicalDescription(Described):
             structure = structure_named(self.structure)
         except InputError as error:
             raise ValueError(str(error)) from error
+        # A part that the structure has not would be simulated all the same.
         described = {
             ModelOption.DEAD_TIME: self.dead_time_s != 0,
             ModelOption.VALVE_CURVE: self.shape is not None,
@@ -235,6 +236,7 @@ class Sealed(Described):
 
     KIND: ClassVar[str]
 
+    # Not `schema`, which pydantic's models have for another purpose.
     layout: int = Field(alias="schema")
     kind: str
     files: Mapping[str, str]
@@ -354,7 +356,7 @@ def _check_uncertainty(uncertainty: Uncertainty, channel: ChannelDescription) ->
         check_estimates(estimates, [parameter.name for parameter in parameters])
     if uncertainty.information is not None:
         with named("information"):
-            check_information(uncertainty.information, [each.name for each in estimates.parameters])
+            check_information(uncertainty.information, [estimate.name for estimate in estimates.parameters])
     if uncertainty.bands is not None:
         networks = 0 if channel.speed_compensator is None else channel.speed_compensator.members
         with named("bands"):

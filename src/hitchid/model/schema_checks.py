@@ -88,28 +88,29 @@ def check_characteristics(characteristics: Characteristics, covariates: Collecti
     points, load = characteristics.speed_map, characteristics.load
     if load is not None:
         check_names("load", [load], covariates)
-    places = {(point.command, point.load) for point in points}
-    commands, loads = {command for command, _ in places}, {load for _, load in places}
-    if not points or not len(points) == len(places) == len(commands) * len(loads):
+    # A full grid, since a curve is drawn over all commands for each load.
+    operating_points = {(point.command, point.load) for point in points}
+    commands, loads = {command for command, _ in operating_points}, {load for _, load in operating_points}
+    if not points or not len(points) == len(operating_points) == len(commands) * len(loads):
         raise ValueError("speed_map: expected one point for each command at each load, at least one")
     if (load is None) != (loads == {None}) or None in loads - {None}:
         raise ValueError(f"speed_map: expected {'no load' if load is None else 'a load'} in each point")
 
 
-def check_names(where: str, names: Sequence[str], known: Collection[str]) -> None:
+def check_names(where: str, names: Sequence[str], admitted: Collection[str]) -> None:
     for name in names:
-        if name not in known or names.count(name) > 1:
-            raise ValueError(f"{where}: got '{name}', expected each once, of {listed(known)}")
+        if name not in admitted or names.count(name) > 1:
+            raise ValueError(f"{where}: got '{name}', expected each once, of {listed(admitted)}")
 
 
 def check_shape(where: str, rows: object, shape: tuple[int, ...]) -> None:
     try:
-        found = np.shape(rows)  # type: ignore[arg-type]
+        actual = np.shape(rows)  # type: ignore[arg-type]
     except ValueError:  # rows of unequal lengths
-        found = None
-    if found != shape and not (0 in shape and found == (0,)):
+        actual = None
+    if actual != shape and not (0 in shape and actual == (0,)):
         expected = " by ".join(map(str, shape))
-        got = "rows of unequal lengths" if found is None else " by ".join(map(str, found))
+        got = "rows of unequal lengths" if actual is None else " by ".join(map(str, actual))
         raise ValueError(f"{where}: got {got}, expected {expected}")
 
 

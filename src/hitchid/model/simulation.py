@@ -66,6 +66,7 @@ def to_model_units(
     # Clocks that hardly part are taken for one: interpolation would smooth what was measured.
     shift_s = abs(converted.step_s - step_s) * len(converted)
     resampled = converted if shift_s <= MAX_CLOCK_SHIFT * step_s else converted.resample(step_s)
+    # A command without a channel may be logged, but must not be effective.
     scales = full_scales([record])
     for direction in record.directions:
         active = np.abs(record.command(direction)) > ACTIVE_FRACTION * scales[direction]
@@ -137,26 +138,18 @@ def condition_before_motion(
 # Where a free run is outside the operating range of the identification tests.
 
 
-class OutOfRange(NamedTuple):
-    """One signal outside its range.
-
-    Attributes:
-        sentence: names the signal, its range and the number of samples outside.
-        samples: which samples are outside, of the shape of the free run.
-    """
-
-    sentence: str
-    samples: Bool[np.ndarray, "*m n"]
-
-
 def out_of_range(
     channels: Sequence[Channel], units: Mapping[str, str], inputs: FreeRunInputs, run: FreeRun
-) -> tuple[OutOfRange, ...]:
-    """Return each signal outside its range while its channel is in charge, and limits that clip the run."""
+) -> dict[str, Bool[np.ndarray, "*m n"]]:
+    """Return signals outside their range while their channel is in charge, and limits that clip the run.
+
+    Returns:
+        A sentence that names the signal, its range and the number of samples, to which samples they are.
+    """
     displacement, active_channel, _ = run
     runs = f" of {len(displacement)} runs" if displacement.ndim > 1 else ""
     of_all = f"of {displacement.size} samples{runs}"
-    found = []
+    outside = {}
     for number, channel in enumerate(channels):
         covered, command = channel.operating_range, inputs.commands[:, DIRECTIONS.index(channel.direction)]
         effective = np.abs(effective_command(command, channel.dead_zone))
@@ -169,19 +162,17 @@ def out_of_range(
         for name, trust in trusts.items():
             samples = (np.asarray(trust) < 1) & (active_channel == number)
             described = describe_range(channel, units, name)
-            found.append(
-                OutOfRange(
-                    f"{channel.direction}: the {name} is outside the identified range, {described}, "
-                    f"in {samples.sum()} {of_all}",
-                    samples,
-                )
+            sentence = (
+                f"{channel.direction}: the {name} is outside the identified range, {described}, "
+                f"in {samples.sum()} {of_all}"
             )
+            outside[sentence] = samples
     limits = channels[0].limits
     if limits is not None:
         samples = limits.at_soft_limit(displacement)
         sentence = f"{limits.sentence(units[DISPLACEMENT])}; this limit applies in {samples.sum()} {of_all}"
-        found.append(OutOfRange(sentence, samples))
-    return tuple(signal for signal in found if signal.samples.any())
+        outside[sentence] = samples
+    return {sentence: samples for sentence, samples in outside.items() if samples.any()}
 
 
 def describe_range(channel: Channel, units: Mapping[str, str], name: str) -> str:
@@ -248,6 +239,7 @@ class Simulation:
 
         `lifting` or `lowering` while a command of the direction in charge demands motion, else `hold`.
         """
+        # `HOLD` comes last, where −1 finds it.
         names = np.array([*(channel.direction for channel in self.model.dynamics.channels), HOLD])
         return self._held(names[np.where(self.run.is_held, -1, self.run.active_channel)])
 
@@ -257,13 +249,13 @@ class Simulation:
 
         More than a tenth of a range outside, the simulation is that of the benchmark without compensator.
         """
-        return tuple(signal.sentence for signal in self._out_of_range)
+        return tuple(self._out_of_range)
 
     @property
     def out_of_range(self) -> np.ndarray:
         """Which samples have a signal outside its range, see `flags`; of the displacement's shape."""
-        masks = [signal.samples for signal in self._out_of_range]
-        return self._held(np.any([np.zeros_like(self.run.is_held), *masks], axis=0))
+        masks = [np.zeros_like(self.run.is_held), *self._out_of_range.values()]
+        return self._held(np.any(masks, axis=0))
 
     @double_precision
     def band(self, coverage: float = 0.9) -> Band:
@@ -337,7 +329,7 @@ class Simulation:
 
     @cached_property
     @double_precision
-    def _out_of_range(self) -> tuple[OutOfRange, ...]:
+    def _out_of_range(self) -> dict[str, np.ndarray]:
         return out_of_range(self.model.dynamics.channels, self.model.units, self.inputs, self.run)
 
     def _held(self, values: np.ndarray) -> np.ndarray:
@@ -405,12 +397,7 @@ def simulate(
 def _checked(values: Numbers, name: str) -> np.ndarray:
     """Return one or several finite numbers as an array of shape [] or [M]."""
     required = f"one or several numbers within ±{MAX_MAGNITUDE:g}"
-    try:
-        array = np.asarray(values)
-    except (TypeError, ValueError) as error:
-        raise checks.input_error(name, required, values) from error
-    if array.dtype.kind not in "iuf" or array.ndim > 1 or not array.size:
-        raise checks.input_error(name, required, values)
-    if not np.all(np.abs(array) < MAX_MAGNITUDE):
+    array = checks.array(values, name, required)
+    if array.ndim > 1 or not array.size or not np.all(np.abs(array) < MAX_MAGNITUDE):
         raise checks.input_error(name, required, values)
     return array.astype(np.float64)

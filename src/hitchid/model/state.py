@@ -1,13 +1,17 @@
 """State of a hitch at one sample."""
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Float32, Int
 
 from hitchid._support.records import short_repr
 from hitchid.model.load_filter import ErrorEstimate
 from hitchid.networks.error_compensator import FeatureState
 from hitchid.structures import DiscretePhysicalModel, ValveState
+
+Tree = TypeVar("Tree")
 
 
 @short_repr
@@ -96,34 +100,6 @@ class Switching(NamedTuple):
     both_valves_active: bool
 
 
-class NetworkInput(NamedTuple):
-    """Inputs of the network of the active channel.
-
-    Attributes:
-        channel_index: index of the channel.
-        scaled_features: scaled features, shape [10].
-        index_in_window: number of samples processed, modulo L.
-        trust: factor on the predicted innovation; zero where none is predicted.
-        reset: whether the state of the network is reset.
-        error: error of the benchmark at the next sample, estimated by the filter.
-        benchmark, free_run: output of the benchmark and of the free run, clipped to the end stops.
-        has_measurement: whether a displacement was measured since the start.
-    """
-
-    channel_index: Int[Array, ""]
-    scaled_features: Float32[Array, "10"]
-    index_in_window: Int[Array, ""]
-    trust: Float[Array, ""]
-    reset: Bool[Array, ""]
-    error: Float[Array, ""]
-    benchmark: Float[Array, ""]
-    free_run: Float[Array, ""]
-    has_measurement: Bool[Array, ""]
-
-
-class NetworkOutput(NamedTuple):
-    """What the network of the active channel completes, at the next sample; see `HitchState`."""
-
-    displacement: Float[Array, ""]
-    error: Float[Array, ""]
-    innovation: Float[Array, ""]
+def select(condition: Bool[Array, ""], new: Tree, old: Tree) -> Tree:
+    """Return the new state where the condition holds, otherwise the old one; both of one structure."""
+    return jax.tree.map(lambda new_leaf, old_leaf: jnp.where(condition, new_leaf, old_leaf), new, old)

@@ -10,15 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Float32, PyTree
+from jaxtyping import Array, Float, Float32
 
 from hitchid._support import checks
 from hitchid._support.bounded import MAX_MAGNITUDE
 from hitchid._support.records import short_repr
 from hitchid.errors import InputError
 from hitchid.logs.record import DIRECTIONS
+from hitchid.model.channel import Channel
 from hitchid.model.dynamics import HitchDynamics
-from hitchid.model.error_prediction import clip_at_end_stops
 from hitchid.model.inputs import channel_load, mean_load
 from hitchid.model.load_filter import LOAD_JUMP, LOAD_TINY
 from hitchid.model.state import ChannelState, HitchState, Switching
@@ -40,35 +40,28 @@ class Packed(NamedTuple):
 
 
 class Packing:
-    """Conversion between states of one hitch and packed states.
+    """Conversion between states of one hitch, at one load or at many, and packed states.
 
     Args:
         like: a state of that hitch.
     """
 
-    def __init__(self, like: HitchState) -> None:
-        numbers = like._replace(hidden=None)
-        self._unravel = unravel(numbers)
-        # Where these fields begin in the concatenated numbers.
-        self._mode, self._both_valves_active = (
-            sum(leaf.size for leaf in jax.tree.leaves(numbers[: numbers._fields.index(name)]))
-            for name in ("mode", "both_valves_active")
-        )
+    def __init__(self, like: "HitchState | LoadBankState") -> None:
+        shapes = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), _with_hidden(like, None))
+        self._unravel = ravel_pytree(shapes)[1]
 
-    def pack(self, state: HitchState) -> Packed:
+    def pack(self, state: "HitchState | LoadBankState") -> Packed:
         """Return a state in packed form."""
-        return Packed(ravel_pytree(state._replace(hidden=None))[0], state.hidden)
+        # The LSTM state on its own: it is of single precision, and concatenated it would become double.
+        return Packed(ravel_pytree(_with_hidden(state, None))[0], state.hidden)
 
-    def unpack(self, packed: Packed) -> HitchState:
+    def unpack(self, packed: Packed) -> Any:
         """Return the state of a packed one."""
-        return self._unravel(packed.numbers)._replace(hidden=packed.hidden)
+        return _with_hidden(self._unravel(packed.numbers), packed.hidden)
 
-    def switching(self, packed: Packed) -> Switching:
-        """Return which valves are in charge, read from the numbers without a compiled function."""
-        numbers = np.asarray(packed.numbers)
-        return Switching(int(numbers[self._mode]), bool(numbers[self._both_valves_active]))
-
-    def step(self, dynamics: HitchDynamics) -> Callable[[Packed, ArrayLike], tuple[Packed, Array]]:
+    def step(
+        self, dynamics: "HitchDynamics | LoadBank"
+    ) -> Callable[[Packed, ArrayLike], tuple[Packed, Array]]:
         """Return the compiled step function, from packed state to packed state and displacement.
 
         Its inputs are lifting command, lowering command and measured displacement, shape [3].
@@ -82,7 +75,7 @@ class Packing:
         return jax.jit(lambda numbers, *arguments: self._step(with_numbers(dynamics, numbers), *arguments))
 
     def _step(
-        self, dynamics: HitchDynamics, state: Packed, inputs: Float[Array, "3"]
+        self, dynamics: "HitchDynamics | LoadBank", state: Packed, inputs: Float[Array, "3"]
     ) -> tuple[Packed, Array]:
         next_state, displacement = dynamics.step(self.unpack(state), inputs[:2], inputs[2])
         return self.pack(next_state), displacement
@@ -94,9 +87,11 @@ def with_numbers(dynamics: HitchDynamics, numbers: Float[Array, " p"]) -> HitchD
     return eqx.tree_at(lambda tree: tree.discrete_models, dynamics, models)
 
 
-def unravel(like: PyTree) -> Callable[[Float[Array, " n"]], Any]:
-    """Return the function from concatenated numbers back to arrays of one structure."""
-    return ravel_pytree(jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like))[1]
+def _with_hidden(state: Any, hidden: Array | None) -> Any:
+    """Return the state of a hitch, at one load or at many, with another LSTM state."""
+    if isinstance(state, LoadBankState):
+        return state._replace(hitches=state.hitches._replace(hidden=hidden))
+    return state._replace(hidden=hidden)
 
 
 # A hitch whose covariates are not measured: a model for each of many loads, weighted by its predictions.
@@ -116,6 +111,11 @@ class LoadBankState(NamedTuple):
 
     hitches: HitchState
     log_weights: Float[Array, " b"]
+
+    @property
+    def hidden(self) -> Float32[Array, "b 2 2 h"]:
+        """LSTM states of the network of the active channel, at each load."""
+        return self.hitches.hidden
 
     @property
     def displacement(self) -> Float[Array, ""]:
@@ -150,6 +150,11 @@ class LoadBank(eqx.Module):
 
     dynamics: HitchDynamics
 
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """Channels of the hitch."""
+        return self.dynamics.channels
+
     def init_state(self, displacement: Float[Array, ""], load: Float[Array, " l"]) -> LoadBankState:
         """Return the state of a hitch at rest with closed valves.
 
@@ -157,11 +162,12 @@ class LoadBank(eqx.Module):
             displacement: where the piston is.
             load: the covariates, in the order of `covariates_of`; NaN for those that are not measured.
         """
-        means = jnp.asarray(mean_load(self.dynamics.channels))
+        means = jnp.asarray(mean_load(self.channels))
         state = self.dynamics.init_state(displacement, jnp.where(jnp.isnan(load), means, load))
         from scipy.stats import qmc  # where it is needed: a model is loaded without it
 
         points = jnp.asarray(qmc.Sobol(load.size, scramble=False).random_base2(LOADS_LOG2))
+        # Sobol's points begin at the lower end: moved by half a cell their mean is 0.
         centred = 2 * points - 1 + 1 / len(points)
 
         def at_point(point: Float[Array, " l"]) -> HitchState:
@@ -196,12 +202,12 @@ class LoadBank(eqx.Module):
         point: Float[Array, " l"],
     ) -> ChannelState:
         """Return the state of a channel where what is not measured is at a point between −1 and 1."""
-        channels, model = self.dynamics.channels, self.dynamics.discrete_models[number]
+        model = self.dynamics.discrete_models[number]
         nonlinearity = model.benchmark.nonlinearity
         if not model.is_scheduled or nonlinearity is None:
             return channel_state
         scales = nonlinearity.scales.covariates
-        measured, part = (channel_load(channels, number, row) for row in (load, point))
+        measured, part = (channel_load(self.channels, number, row) for row in (load, point))
         assumed = scales.centre + HALF_WIDTH * scales.spread * part
         at_load = model.at_load(jnp.where(jnp.isnan(measured), assumed, measured))
         plant = at_load.init_state(displacement, jnp.zeros(()))
@@ -211,9 +217,9 @@ class LoadBank(eqx.Module):
         self, state: HitchState, measured: Float[Array, ""]
     ) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Return variance and error of the displacement that the filter of the active channel expects."""
-        channels, active = self.dynamics.channels, jnp.maximum(state.mode, 0)
-        noise = jnp.stack([channel.load_filter.noise for channel in channels])[active]
-        expected = clip_at_end_stops(channels, state, state.benchmark) + state.estimates.error[active]
+        active = jnp.maximum(state.mode, 0)
+        noise = jnp.stack([channel.load_filter.noise for channel in self.channels])[active]
+        expected = self.dynamics.within_end_stops(state, state.benchmark) + state.estimates.error[active]
         return jnp.maximum(state.estimates.variance[active] + noise**2, LOAD_TINY), measured - expected
 
 
@@ -242,59 +248,54 @@ class StepFunctions(NamedTuple):
     @classmethod
     def of(cls, dynamics: HitchDynamics) -> "StepFunctions":
         """Return the functions of a hitch at a given load."""
-        packing = Packing(jax.eval_shape(dynamics.standing_state))
-        init_state = jax.jit(lambda displacement, load: packing.pack(dynamics.init_state(displacement, load)))
-        shapes = _shapes(init_state, dynamics)
-        return cls(init_state, packing.step(dynamics), jax.jit(packing.unpack), packing.switching, shapes)
+        like = jax.eval_shape(dynamics.standing_state)
+        # Where these fields begin in the concatenated numbers: reading them there needs no compiled function.
+        mode, both_valves_active = (
+            sum(leaf.size for leaf in jax.tree.leaves(like[: like._fields.index(name)]))
+            for name in ("mode", "both_valves_active")
+        )
+
+        def switching(packed: Packed) -> Switching:
+            numbers = np.asarray(packed.numbers)
+            return Switching(int(numbers[mode]), bool(numbers[both_valves_active]))
+
+        packing = Packing(like)
+        return cls._of(dynamics, packing, jax.jit(packing.unpack), switching)
 
     @classmethod
     def at_unknown_load(cls, dynamics: HitchDynamics) -> "StepFunctions":
         """Return the functions of a hitch of whose load a part is not measured."""
         bank = LoadBank(dynamics)
         load = jnp.asarray(mean_load(dynamics.channels))
-        unravel_state = unravel(_without_hidden(jax.eval_shape(bank.init_state, jnp.zeros(()), load)))
-
-        def pack(state: LoadBankState) -> Packed:
-            return Packed(ravel_pytree(_without_hidden(state))[0], state.hitches.hidden)
-
-        def unpack(packed: Packed) -> LoadBankState:
-            state = unravel_state(packed.numbers)
-            return state._replace(hitches=state.hitches._replace(hidden=packed.hidden))
-
-        def step(packed: Packed, inputs: Array) -> tuple[Packed, Array]:
-            state, displacement = bank.step(unpack(packed), inputs[:2], inputs[2])
-            return pack(state), displacement
+        packing = Packing(jax.eval_shape(bank.init_state, jnp.zeros(()), load))
 
         @jax.jit
         def most_probable(packed: Packed) -> HitchState:
-            return unpack(packed).most_probable
+            return packing.unpack(packed).most_probable
 
         def switching(packed: Packed) -> Switching:
             with jax.enable_x64(True):
                 state = most_probable(packed)
             return Switching(int(state.mode), bool(state.both_valves_active))
 
-        init_state = jax.jit(lambda displacement, load: pack(bank.init_state(displacement, load)))
-        return cls(
-            init_state,
-            jax.jit(step),
-            most_probable,
-            switching,
-            _shapes(init_state, dynamics),
-        )
+        return cls._of(bank, packing, most_probable, switching)
+
+    @classmethod
+    def _of(
+        cls,
+        dynamics: "HitchDynamics | LoadBank",
+        packing: Packing,
+        unpack: Callable[[Packed], HitchState],
+        switching: Callable[[Packed], Switching],
+    ) -> "StepFunctions":
+        init_state = jax.jit(lambda displacement, load: packing.pack(dynamics.init_state(displacement, load)))
+        like = jax.eval_shape(init_state, 0.0, mean_load(dynamics.channels))
+        shapes = tuple(array.shape for array in like)
+        return cls(init_state, packing.step(dynamics), unpack, switching, shapes)
 
     def accepts(self, state: Packed) -> bool:
         """Return whether a state is of these functions; only shapes are compared: it may be traced."""
         return tuple(map(np.shape, state)) == self.shapes
-
-
-def _shapes(init_state: Callable, dynamics: HitchDynamics) -> tuple[tuple[int, ...], ...]:
-    like = jax.eval_shape(init_state, 0.0, mean_load(dynamics.channels))
-    return tuple(array.shape for array in like)
-
-
-def _without_hidden(state: LoadBankState) -> LoadBankState:
-    return state._replace(hitches=state.hitches._replace(hidden=None))
 
 
 def join_inputs(
@@ -312,6 +313,7 @@ def join_inputs(
     ):
         return np.array([*commands.tolist(), measured])  # as a loop has them; a tenth of the time of the rest
     values = commands if isinstance(commands, Sequence) else (commands,)
+    # Traced values only JAX can join.
     xp = jnp if any(isinstance(value, jax.Array) for value in (*values, measured)) else np
     try:
         command_array, measured_array = xp.asarray(commands), xp.asarray(measured)

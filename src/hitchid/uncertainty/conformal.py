@@ -23,6 +23,7 @@ def nonconformity_scores(
 
     The spread is the root of the sum of squared deviations of the ensemble members.
     """
+    # The part of a band that is the sensor's noise is not calibrated: an error within it has the score 0.
     floor = (float(ndtri(0.5 + level / 2)) * noise) ** 2
     return [
         np.sqrt(np.maximum(error**2 - floor, 0.0)) / np.maximum(spread, SMALLEST)
@@ -50,8 +51,10 @@ def conformal_quantile(scores: Sequence[np.ndarray], level: float) -> float:
     """
     # Quantiles of each test at GRID: sorting costs a tenth of `np.quantile` at so many.
     rows = np.stack([_interpolate(np.sort(row), GRID * (row.size - 1)) for row in scores])
+    # One test has no others to compare it with.
     if len(rows) == 1:
         return float(rows.max())
+    # As many grid values of each test: all weigh the same, however long they are.
     order = np.argsort(rows, axis=None)
     sorted_rows, test_indices = rows.ravel()[order], order // GRID.size
     others = np.stack([sorted_rows[test_indices != test] for test in range(len(rows))])
@@ -63,6 +66,7 @@ def conformal_quantile(scores: Sequence[np.ndarray], level: float) -> float:
         pairs = zip(rows, limits(probability), strict=True)
         return float(np.mean([np.interp(limit, row, GRID, left=0.0, right=1.0) for row, limit in pairs]))
 
+    # All scores of the others cover too little of a test: the largest of all.
     if mean_coverage(1.0) < level:
         return float(rows.max())
     low, high = level, 1.0
@@ -90,6 +94,7 @@ def sensor_noise(errors: Sequence[np.ndarray]) -> float:
     of a smooth signal is close to zero.
     """
     deviations = [np.sqrt(np.mean(np.diff(error, 3) ** 2) / 20) for error in errors if error.size > 3]
+    # The median, which one broken test does not move far.
     return float(np.median(deviations)) if deviations else 0.0
 
 

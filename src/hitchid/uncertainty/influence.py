@@ -12,7 +12,14 @@ from hitchid.estimation import Objective, refine_subset
 from hitchid.estimation.objective import GAIN_RIDGE
 from hitchid.model.estimates import Information
 from hitchid.uncertainty.profile import Profile
-from hitchid.uncertainty.scores import MIN_EIGENVALUE, DeadZoneError, Scores, t_quantile, welch_satterthwaite
+from hitchid.uncertainty.scores import (
+    MIN_EIGENVALUE,
+    DeadZoneError,
+    Scores,
+    combined_variance,
+    t_quantile,
+    with_shifted_dead_zone,
+)
 
 BOOTSTRAP_DRAWS = 999  # resamples of the tests; chosen
 # Refit with a shifted dead zone: steps, relative tolerance of the sum of squares (tight: the shift of the
@@ -68,17 +75,9 @@ class Influence(NamedTuple):
         """Standard errors of the estimates, shape [D]."""
         return np.sqrt(np.diag(self.covariance))
 
-    def error(self, weights: np.ndarray) -> float:
-        """Return the standard error of a linear combination of parameters, weights of shape [D]."""
-        return float(np.sqrt(weights @ self.covariance @ weights))
-
     def half_width(self, weights: np.ndarray, degrees: float) -> float:
         """Return half the width of the 95 % interval of a linear combination of parameters."""
-        return t_quantile(degrees) * self.error(weights)
-
-    def combination_degrees(self, combinations: Float[np.ndarray, "d q"]) -> Float[np.ndarray, " q"]:
-        """Return the degrees of freedom of combinations' standard errors, without the dead zone's share."""
-        return self.scores.degrees_of_freedom(combinations[self.free])
+        return t_quantile(degrees) * float(np.sqrt(weights @ self.covariance @ weights))
 
 
 def compute_influence(
@@ -94,19 +93,18 @@ def compute_influence(
         # The gain is that of all tests pooled: its influence follows from that of the others.
         scores.append(Scores.of(objective.pooled(), position).select_parameters(free))
         gain_curvature = scores[1].curvature[0]
+        # The correction for leverage of `Scores.influence`, of a single parameter.
         leverage = scores[1].curvatures[:, 0, 0] / gain_curvature[0]
         slopes = scores[1].slopes[:, 0] / np.sqrt(np.clip(1 - leverage, MIN_EIGENVALUE, 1.0))
         by_test[:, 0] = -(slopes + by_test[:, 1:] @ gain_curvature[1:]) / gain_curvature[0]
     tests = len(by_test)
     rng = np.random.default_rng(seed)
+    # Whole tests are drawn: the samples of one are not independent.
     test_counts = rng.multinomial(tests, np.full(tests, 1 / tests), BOOTSTRAP_DRAWS)
     shifted_estimates = _shifted_estimates(objective, position, free, dead_zone)
     by_dead_zone = 0.5 * (shifted_estimates[0] - shifted_estimates[1])[free]
-    variances = np.stack([np.sum(by_test**2, axis=0), by_dead_zone**2])
     test_degrees = scores[0].degrees_of_freedom()
-    degrees = welch_satterthwaite(
-        variances, np.stack([test_degrees, np.full_like(test_degrees, dead_zone.degrees_of_freedom)])
-    )
+    _, degrees = combined_variance(by_test, by_dead_zone, test_degrees, dead_zone)
 
     def expand(rows: np.ndarray) -> np.ndarray:
         expanded = np.zeros((*rows.shape[:-1], position.size))
@@ -137,11 +135,10 @@ def _shifted_estimates(
         return estimates
     coarse_objective = objective.with_data(objective.batch.coarse())
     for row, shift in enumerate((dead_zone.standard_error, -dead_zone.standard_error)):
-        shifted_objective = coarse_objective.with_data(
-            coarse_objective.batch.with_dead_zones(coarse_objective.batch.dead_zone + shift)
-        )
+        shifted_objective = with_shifted_dead_zone(coarse_objective, shift)
         indices = np.flatnonzero(free).tolist()
         estimates[row] = _refit(shifted_objective, indices, position)
+        # The others were fitted with a gain for each test; the one of all tests follows, as in the estimate.
         if objective.per_test_gain and free[GAIN_INDEX]:
             estimates[row] = _refit(shifted_objective.pooled(), [GAIN_INDEX], estimates[row])
     return estimates
@@ -176,10 +173,12 @@ LAGS = 100  # blocks of the longest test, lags of the autocovariance; chosen
 def information_of(objective: Objective, position: np.ndarray, influence: Influence) -> Information:
     """Return the Fisher information of the tests at the best position."""
     errors, test = objective.errors(position)
+    # No test changes a parameter at a bound or without influence: it has no information either.
     free = np.flatnonzero(np.any(influence.by_test != 0, axis=0))
     curvature = objective.equations_by_test(position).curvatures.sum(axis=0)[np.ix_(free, free)]
     covariance = (influence.by_test.T @ influence.by_test)[np.ix_(free, free)]
     counts = np.bincount(test)
+    # A covariance for each lag of a long test at a high rate would be as long as the test.
     block_size = max(1, int(counts.max()) // LAGS)
     from_dead_zone = np.outer(influence.by_dead_zone[free], influence.by_dead_zone[free])
     return Information(
@@ -235,6 +234,7 @@ def standard_errors_with(
     blocks = -(-samples // information.block_size)
     padded = np.pad(jacobian, ((0, blocks * information.block_size - samples), (0, 0)))
     means = padded.reshape(blocks, information.block_size, -1).sum(axis=1)
+    # Errors farther apart than any in the tests so far count as independent.
     covariance = toeplitz(np.resize(np.append(information.autocovariance, np.zeros(blocks)), blocks))
     share = information.samples / samples
     return _standard_errors(

@@ -54,6 +54,7 @@ def derived(
         gradient = [
             (_log(above[name][0]) - _log(below[name][0])) / (2 * GRADIENT_STEP) for above, below in perturbed
         ]
+        # By the joint covariance: a combination is often determined much better than its parts.
         half_width = influence.half_width(np.array(gradient), degrees)
         in_profiles = [_log(quantity_values[name][0]) for quantity_values in allowed]
         candidates = [_log(value) - half_width, _log(value) + half_width, *in_profiles]
@@ -78,6 +79,7 @@ def _exp(logarithm: float) -> float | None:
 
 def sensitivities(objective: Objective, position: np.ndarray) -> tuple[float, ...]:
     """Return the mean relative change of the RMSE for ±1 % of each parameter (Sun et al. 2025, 3.1.1)."""
+    # With one gain for all tests: a gain of each test's own would take up a perturbed one.
     values, pooled = objective.values(position), objective.pooled()
     best, changes = pooled.error(position), []
     for factors in np.eye(position.size) * RELATIVE_PERTURBATION:
@@ -125,12 +127,12 @@ def assess(
         The estimates, and the influence of each test on them.
     """
     results = [ParameterResult.of(objective, position, number) for number in range(position.size)]
+    # A parameter at a bound is held exactly there for the intervals of the others.
     position = np.where([not result.bound for result in results], position, np.round(position))
-    derivative_norms = np.sqrt(np.einsum("tdd->d", objective.equations_by_test(position).curvatures))
-    results = [
-        replace(result, insensitive=bool(norm < MIN_RELATIVE_DERIVATIVE * derivative_norms.max()))
-        for result, norm in zip(results, derivative_norms, strict=True)
-    ]
+    # A saturation far above every command, say, changes nothing: it has no standard error, and is fixed.
+    norms = np.sqrt(np.einsum("tdd->d", objective.equations_by_test(position).curvatures))
+    insensitive = (norms < MIN_RELATIVE_DERIVATIVE * norms.max()).tolist()
+    results = [replace(result, insensitive=none) for result, none in zip(results, insensitive, strict=True)]
     free = np.array([not (result.bound or result.insensitive) for result in results])
     parts = split_progress(progress, ASSESSMENT_SHARES)
     parts["standard errors"](ProgressUpdate("standard errors of the parameters", 0.0))
@@ -167,8 +169,17 @@ def unassessed(
         objective, position, units: as for `assess`.
         cause: why there are none; the verdict of every parameter.
     """
-    values = objective.values(position)
-    estimates = tuple(
+    estimates = _unassessed(objective, position, units, cause)
+    tests = _count_tests(objective)
+    no_correlation = tuple((0.0,) * position.size for _ in estimates)
+    return Estimates(estimates, (), no_correlation, tests, tests), Influence.zeros(tests, position.size)
+
+
+def _unassessed(
+    objective: Objective, position: np.ndarray, units: Mapping[str, str], cause: str
+) -> tuple[Estimate, ...]:
+    values, bounds = objective.values(position), objective.bounds
+    return tuple(
         Estimate(
             name=parameter.name,
             symbol=parameter.symbol or parameter.name.replace("_", " "),
@@ -178,18 +189,15 @@ def unassessed(
             interval=(None, None),
             method=NOT_ASSESSED,
             bootstrap=None,
-            lower=float(objective.bounds.lower[number]),
-            upper=float(objective.bounds.upper[number]),
-            linear=bool(objective.bounds.linear[number]),
+            lower=float(bounds.lower[number]),
+            upper=float(bounds.upper[number]),
+            linear=bool(bounds.linear[number]),
             determined=False,
             verdict=cause,
             sensitivity=0.0,
         )
         for number, parameter in enumerate(objective.spec.parameters)
     )
-    tests = _count_tests(objective)
-    no_correlation = tuple((0.0,) * position.size for _ in estimates)
-    return Estimates(estimates, (), no_correlation, tests, tests), Influence.zeros(tests, position.size)
 
 
 def _with_interval(
@@ -209,11 +217,13 @@ def _with_interval(
         unit_vector = np.eye(position.size)[result.number]
         half_width = influence.half_width(unit_vector, float(influence.degrees_of_freedom[result.number]))
         interval = result.to_interval(coordinate - half_width, coordinate + half_width)
+        # Rows are then sections, whose errors are correlated within a test: alone the interval is too short.
         if len(influence.by_test) > _count_tests(objective):
             bootstrap = _bootstrap_interval(result, position, influence)
         interval = _interval_union(interval, bootstrap)
         if result.is_narrow(interval, TIGHT_RATIO, TIGHT_SHARE):
             return replace(result, interval=interval)
+    # A profile needs no curvature, and holds where the parameter tends to infinity.
     coarse_objective = objective.with_data(objective.batch.coarse())
     curve = profile(coarse_objective, position, result.number, dead_zone)
     interval = _interval_union(result.to_interval(curve.lower, curve.upper), bootstrap)
@@ -259,27 +269,21 @@ def _estimates(
     values, slopes = objective.values(position), objective.slopes(position)
     dead_time_stands_for = "" if objective.spec.has_lag(values) else DELAY_AND_LAG
     estimates = []
-    for result in results:
+    for result, plain in zip(results, _unassessed(objective, position, units, ""), strict=True):
         number, parameter = result.number, result.parameter
-        unit, is_free = parameter.unit.format(**units), not (result.bound or result.insensitive)
+        is_free = not (result.bound or result.insensitive)
         fallback_quantity = determined_quantities.get(fallback_quantities.get(parameter.name, ""), "")
         estimates.append(
-            Estimate(
-                name=parameter.name,
-                symbol=result.symbol,
-                unit=unit,
-                value=float(values[number]),
+            replace(
+                plain,
                 error=float(slopes[number] * influence.errors[number]) if is_free else None,
                 interval=result.interval,
                 method="Gauss-Newton" if result.profile is None else "profile",
                 bootstrap=_bootstrap_interval(result, position, influence) if is_free else None,
-                lower=result.lower,
-                upper=result.upper,
-                linear=result.linear,
                 determined=result.determined,
                 verdict=verdict(
                     parameter,
-                    unit,
+                    plain.unit,
                     result.interval,
                     determined=result.determined,
                     bound=result.bound,

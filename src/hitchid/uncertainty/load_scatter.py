@@ -13,6 +13,7 @@ from hitchid._support.records import short_repr
 from hitchid.errors import FitError
 from hitchid.estimation import Objective
 from hitchid.model.estimates import STANDSTILL, Interval, LoadOfTest, LoadScatter
+from hitchid.uncertainty.scores import with_shifted_dead_zone
 
 LEVEL = 0.95  # of the intervals
 FEWEST_CONTRASTS = 2  # differences between tests; of fewer a scatter has no interval
@@ -101,6 +102,7 @@ def load_scatter(
     """
     if not np.any(free):
         raise FitError("no parameter of the form was estimated; the load scatter requires one at least")
+    # With one gain for all tests: a gain of each test's own would take up its load.
     errors = errors_of_tests(objective.pooled(), position, free)
     return scatter_of(contrasts_of(errors), names)
 
@@ -128,6 +130,7 @@ def scatter_of(contrasts: Contrasts, names: Sequence[str]) -> LoadScatter:
         )
     variances = scatter**2 * (1 - directions**2 @ precision)
     half_widths = t.ppf(0.5 + 0.5 * LEVEL, values.size) * np.sqrt(variances)
+    # No load makes a piston run backward.
     lower, upper = np.maximum(predictions - half_widths, STANDSTILL), predictions + half_widths
     rows = zip(names, predictions.tolist(), zip(lower.tolist(), upper.tolist(), strict=True), strict=True)
     tests = tuple(LoadOfTest(*row) for row in rows)
@@ -146,12 +149,13 @@ def errors_of_tests(objective: Objective, position: np.ndarray, free: np.ndarray
     command_step = DEAD_ZONE_STEP * float(np.abs(np.asarray(batch.raw_command)).max())
 
     def travel_at(point: np.ndarray, shift: float = 0.0) -> np.ndarray:
-        return objective.with_data(batch.with_dead_zones(batch.dead_zone + shift)).travel(point)
+        return with_shifted_dead_zone(objective, shift).travel(point)
 
     derivatives = [travel_at(position + step) - travel_at(position - step) for step in steps]
     derivatives.append(travel_at(position, command_step) - travel_at(position, -command_step))
     travel = travel_at(position)
     error = np.asarray(batch.travel) - travel
+    # Of unit length, so that one limit of the eigenvalues is right for parameters of any unit.
     sizes = [float(np.linalg.norm(column)) or 1.0 for column in derivatives]
     scaled = [column / size for column, size in zip(derivatives, sizes, strict=True)]
     rows = np.stack([np.ones_like(travel), travel, error, *scaled], axis=2)
@@ -179,15 +183,16 @@ def contrasts_of(errors: FreeRunErrors) -> Contrasts:
     if not errors.counted.any():
         raise FitError("the piston does not move in the identification tests")
     grams = _grams(errors, _error_correlation(errors))[0]
+    # The offset of each test may be anything; then what the parameters took up of the loads goes, too.
     grams = _eliminated(grams, 1)[0]
     loads, shared, cross = grams[:, 0, 0], grams[:, 2:, 2:].sum(axis=0), grams[:, 0, 2:]
     inverse = np.linalg.pinv(shared, MIN_EIGENVALUE**2, hermitian=True)
     information = np.diag(loads) - cross @ inverse @ cross.T
     slopes = grams[:, 0, 1] - cross @ inverse @ grams[:, 1, 2:].sum(axis=0)
     eigenvalues, vectors = np.linalg.eigh(information)
-    known = eigenvalues > MIN_EIGENVALUE * loads.max()
-    sensitivities = np.sqrt(eigenvalues[known])
-    return Contrasts(vectors[:, known].T @ slopes / sensitivities, sensitivities, vectors[:, known])
+    determined = eigenvalues > MIN_EIGENVALUE * loads.max()
+    sensitivities = np.sqrt(eigenvalues[determined])
+    return Contrasts(vectors[:, determined].T @ slopes / sensitivities, sensitivities, vectors[:, determined])
 
 
 def _error_correlation(errors: FreeRunErrors) -> np.ndarray:
@@ -253,6 +258,7 @@ def _eliminated(grams: Float[np.ndarray, "t c c"], count: int) -> tuple[Float[np
 
 def _most_likely(contrasts: Contrasts) -> float:
     """Return ω of largest restricted likelihood, which may be 0."""
+    # The likelihood is flat at 0, a function of ω²: a search that starts there stays, so a grid comes first.
     grid = np.concatenate([[0.0], np.geomspace(SMALLEST / contrasts.sensitivities.max(), MAX_SCATTER, GRID)])
     best = int(np.argmin([contrasts.negative_log_likelihood(scatter) for scatter in grid]))
     around = (float(grid[max(best - 1, 0)]), float(grid[min(best + 1, GRID)]))
@@ -271,6 +277,7 @@ def _interval(contrasts: Contrasts) -> Interval:
 
 def _crossing(contrasts: Contrasts, quantile: float) -> float | None:
     """Return ω at which Q(ω) falls below a quantile; 0 where it is always below, None where never."""
+    # Q falls as ω grows, so it crosses a quantile once at most.
     if contrasts.statistic(0.0) <= quantile:
         return 0.0
     if contrasts.statistic(MAX_SCATTER) > quantile:

@@ -38,6 +38,7 @@ def verdict(
     text = "; ".join(filter(None, (_range_text(parameter, unit, interval), hint)))
     if fallback_quantity:
         return f"only {fallback_quantity} is determined: {text}"
+    # Where all values between the bounds fit, that the estimate is at one of them says nothing.
     if bound and interval != (None, None):
         return f"at its {bound} bound: {text}"
     return f"not determined: {text}"
@@ -60,6 +61,7 @@ def _excitation_hint(parameter: Parameter, interval: Interval, step_s: float) ->
     """Return the excitation that would determine a parameter; its corner frequency for times, frequencies."""
     lower, upper = interval
     nyquist_rad_s = pi / step_s
+    # Beyond half the sampling frequency no excitation helps.
     frequency_too_high = parameter.unit == "rad/s" and lower is not None and lower > nyquist_rad_s
     time_too_short = parameter.unit == "s" and upper is not None and upper < 1 / nyquist_rad_s
     if frequency_too_high or time_too_short:
@@ -220,6 +222,7 @@ def over_values_of(other: ParameterResult, result: ParameterResult, step: float)
         return result
     coordinates = curve.positions[:, result.number]
     at_bound = 0 if other.bound == "lower" else -1
+    # With zero among them, so that an interval is widened and never narrowed.
     shifts = np.append(coordinates[curve.allowed] - coordinates[at_bound], 0.0)
     unbounded = coordinates[at_bound] + step
     ends = (

@@ -7,7 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchid.estimation import Objective, refine_subset
-from hitchid.uncertainty.scores import NO_ERROR, DeadZoneError, Scores, t_quantile, welch_satterthwaite
+from hitchid.uncertainty.scores import (
+    NO_ERROR,
+    DeadZoneError,
+    Scores,
+    t_quantile,
+    welch_satterthwaite,
+    with_shifted_dead_zone,
+)
 
 FIRST_STEP = 0.02  # first step from the estimate, in the unit cube, doubled every time; all values chosen
 BISECTION_STEPS = 4  # of an end of the interval
@@ -40,21 +47,6 @@ class Profile(NamedTuple):
     tangents: np.ndarray
     search_range: float
 
-    def open_ends(self, quantity: Callable[[np.ndarray], float]) -> tuple[bool, bool]:
-        """Return whether a quantity falls, and whether it rises, beyond the open ends of this profile.
-
-        At an open end the parameter is unbounded, and so is a quantity that changes at more than a tenth of
-        its rate. Tangents are clipped at ten times its rate: faster parameters hardly affect the model.
-        """
-        ends = [(0, -STEP)] * (self.lower is None) + [(-1, STEP)] * (self.upper is None)
-        open_below = open_above = False
-        for number, step in ends:
-            end = self.positions[number]
-            outward = step * np.clip(self.tangents[number], -MAX_PACE, MAX_PACE)
-            pace = (quantity(end + outward) - quantity(end - outward)) / (2 * STEP * self.search_range)
-            open_below, open_above = open_below or pace < -MIN_PACE, open_above or pace > MIN_PACE
-        return open_below, open_above
-
 
 def profile(
     objective: Objective, position: np.ndarray, number: int, dead_zone: DeadZoneError = NO_ERROR
@@ -69,7 +61,10 @@ def profile(
     """
     others = [index for index in range(position.size) if index != number]
     points: list[_ProfilePoint] = []
-    shifted = [dead_zone.shifted_by_one_sigma(objective)] if dead_zone.standard_error else []
+    # The error of the dead zone affects all tests in the same way: their scatter does not show it.
+    shifted = (
+        [with_shifted_dead_zone(objective, dead_zone.standard_error)] if dead_zone.standard_error else []
+    )
     objectives = [objective, *shifted]
     best_errors = [term.rmse_by_test(position) for term in objectives]
 
@@ -82,27 +77,10 @@ def profile(
         points.append(_ProfilePoint.evaluate(objectives, fitted_position, number, dead_zone, best_errors))
         return points[-1]
 
-    def interval_end(bound: float) -> float | None:
-        """Return the end of the interval toward a bound; None where the bound is not rejected."""
-        inside, start, width = float(position[number]), position, FIRST_STEP
-        sign, outside = np.sign(bound - inside), None
-        # Ever longer steps until one is rejected, then halving; each starts where the one before ended.
-        while outside is None and inside != bound:
-            coordinate = float(np.clip(inside + sign * width, 0.0, 1.0))
-            point = fit_at(coordinate, start)
-            start, width = point.position, 2 * width
-            inside, outside = (inside, coordinate) if point.excess > 1 else (coordinate, None)
-        for _ in range(BISECTION_STEPS):
-            if outside is None:
-                return None
-            middle = 0.5 * (inside + outside)
-            point = fit_at(middle, start)
-            start = point.position
-            inside, outside = (inside, middle) if point.excess > 1 else (middle, outside)
-        return outside
-
+    # The estimate itself counts as allowed, whatever slope the end of the search has left.
     best = replace(fit_at(float(position[number]), position), excess=0.0)
-    lower, upper = interval_end(0.0), interval_end(1.0)
+    lower, upper = (_interval_end(fit_at, position, number, bound) for bound in (0.0, 1.0))
+    # A bound given in the settings is prior knowledge, and closes the interval.
     if objective.spec.parameters[number].name in objective.spec.bounds:
         lower, upper = lower or 0.0, 1.0 if upper is None else upper
     ordered = sorted([best, *points[1:]], key=lambda point: float(point.position[number]))
@@ -116,6 +94,28 @@ def profile(
         tangents=np.stack([point.tangent for point in ordered]),
         search_range=_search_range(objective, number),
     )
+
+
+def _interval_end(
+    fit_at: "Callable[[float, np.ndarray], _ProfilePoint]", position: np.ndarray, number: int, bound: float
+) -> float | None:
+    """Return the end of the interval toward a bound; None where the bound is not rejected."""
+    inside, start, width = float(position[number]), position, FIRST_STEP
+    sign, outside = np.sign(bound - inside), None
+    # Ever longer steps until one is rejected, then halving; each starts where the one before ended.
+    while outside is None and inside != bound:
+        coordinate = float(np.clip(inside + sign * width, 0.0, 1.0))
+        point = fit_at(coordinate, start)
+        start, width = point.position, 2 * width
+        inside, outside = (inside, coordinate) if point.excess > 1 else (coordinate, None)
+    if outside is None:
+        return None
+    for _ in range(BISECTION_STEPS):
+        middle = 0.5 * (inside + outside)
+        point = fit_at(middle, start)
+        start = point.position
+        inside, outside = (inside, middle) if point.excess > 1 else (middle, outside)
+    return outside
 
 
 def _search_range(objective: Objective, number: int) -> float:
@@ -143,30 +143,29 @@ class _ProfilePoint:
     ) -> "_ProfilePoint":
         """Test a position; `objectives`: with the dead zone, and with it one standard error larger."""
         equations = [objective.equations_by_test(position) for objective in objectives]
-        scores, *shifted_scores = [
-            Scores.of(objective, position, at_position)
-            for objective, at_position in zip(objectives, equations, strict=True)
+        scores = [
+            Scores.of(objective, position, of_tests)
+            for objective, of_tests in zip(objectives, equations, strict=True)
         ]
-        tangent = scores.profile_tangent(number)
-        slopes = scores.slopes @ tangent
-        shift = sum((float((other.slopes @ tangent).sum() - slopes.sum()) for other in shifted_scores), 0.0)
-        degrees = slopes.size - position.size
-        errors, *shifted_errors = [
-            objective.rmse_of(at_position.costs)
-            for objective, at_position in zip(objectives, equations, strict=True)
-        ]
+        tangent = scores[0].profile_tangent(number)
+        slopes, shifted_slopes = scores[0].slopes @ tangent, scores[-1].slopes @ tangent
         excess, cost = 0.0, float(equations[0].costs.sum())
-        if slopes.sum() ** 2 > MIN_RELATIVE_DECREASE * (tangent @ scores.curvature @ tangent) * cost:
-            mean = abs(float(slopes.mean()))
-            excess = _relative_excess(mean, slopes, shift / slopes.size, degrees, dead_zone)
-        increase, *shifted_increases = [
-            fit_errors - best for fit_errors, best in zip((errors, *shifted_errors), best_errors, strict=True)
+        if slopes.sum() ** 2 > MIN_RELATIVE_DECREASE * (tangent @ scores[0].curvature @ tangent) * cost:
+            shift = float(shifted_slopes.sum() - slopes.sum()) / slopes.size
+            degrees = slopes.size - position.size
+            excess = _relative_excess(abs(float(slopes.mean())), slopes, shift, degrees, dead_zone)
+        errors = [
+            objective.rmse_of(of_tests.costs)
+            for objective, of_tests in zip(objectives, equations, strict=True)
         ]
-        if increase.size >= MIN_TESTS:
-            mean = float(increase.mean())
-            shift = sum((float(other.mean()) - mean for other in shifted_increases), 0.0)
-            excess = max(excess, _relative_excess(mean, increase, shift, increase.size - 1, dead_zone))
-        fitness = float(np.sqrt(np.mean(errors[errors > 0] ** 2)))
+        increases = [of_tests - best for of_tests, best in zip(errors, best_errors, strict=True)]
+        # Far from the optimum the slope may vanish; there a value is excluded by the growth of the errors.
+        if increases[0].size >= MIN_TESTS:
+            mean = float(increases[0].mean())
+            shift = float(increases[-1].mean()) - mean
+            growth = _relative_excess(mean, increases[0], shift, increases[0].size - 1, dead_zone)
+            excess = max(excess, growth)
+        fitness = float(np.sqrt(np.mean(errors[0][errors[0] > 0] ** 2)))
         return cls(position, fitness, excess, tangent)
 
 
@@ -183,6 +182,16 @@ def _relative_excess(
 
 
 def open_ends(profiles: Iterable[Profile], quantity: Callable[[np.ndarray], float]) -> tuple[bool, bool]:
-    """Return whether a quantity falls, and whether it rises, beyond any end; see `Profile.open_ends`."""
-    ends = [curve.open_ends(quantity) for curve in profiles]
-    return any(open_below for open_below, _ in ends), any(open_above for _, open_above in ends)
+    """Return whether a quantity falls, and whether it rises, beyond an open end of any profile.
+
+    At an open end the parameter is unbounded, and so is a quantity that changes at more than a tenth of its
+    rate. Tangents are clipped at ten times its rate: faster parameters hardly affect the model.
+    """
+    open_below = open_above = False
+    for curve in profiles:
+        for number, step in [(0, -STEP)] * (curve.lower is None) + [(-1, STEP)] * (curve.upper is None):
+            end = curve.positions[number]
+            outward = step * np.clip(curve.tangents[number], -MAX_PACE, MAX_PACE)
+            pace = (quantity(end + outward) - quantity(end - outward)) / (2 * STEP * curve.search_range)
+            open_below, open_above = open_below or pace < -MIN_PACE, open_above or pace > MIN_PACE
+    return open_below, open_above

@@ -27,12 +27,6 @@ class DeadZoneError(NamedTuple):
     standard_error: float = 0.0
     tests: int = 0
 
-    def shifted_by_one_sigma(self, objective: Objective) -> Objective:
-        """Return the objective with the dead zone one standard error larger."""
-        return objective.with_data(
-            objective.batch.with_dead_zones(objective.batch.dead_zone + self.standard_error)
-        )
-
     @property
     def degrees_of_freedom(self) -> int:
         """Degrees of freedom of the standard error."""
@@ -42,11 +36,34 @@ class DeadZoneError(NamedTuple):
 NO_ERROR = DeadZoneError()
 
 
+def with_shifted_dead_zone(objective: Objective, shift: float) -> Objective:
+    """Return an objective whose tests have another dead zone, larger by a shift in the command's unit."""
+    return objective.with_data(objective.batch.with_dead_zones(objective.batch.dead_zone + shift))
+
+
 def welch_satterthwaite(variances: np.ndarray, degrees: np.ndarray) -> np.ndarray:
     """Return the degrees of freedom of sums of variances, (Σ v)²/Σ v²/ν (Welch 1947, Biometrika 34, 28)."""
     denominator = np.sum(variances**2 / degrees, axis=0)
     degrees = np.sum(variances, axis=0) ** 2 / np.maximum(denominator, np.finfo(float).tiny)
     return np.asarray(np.maximum(degrees, 1.0))
+
+
+def combined_variance(
+    by_test: Float[np.ndarray, "t q"],
+    by_dead_zone: Float[np.ndarray, " q"],
+    test_degrees: Float[np.ndarray, " q"],
+    dead_zone: DeadZoneError,
+) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " q"]]:
+    """Return variances and degrees of freedom of quantities that tests and the dead zone change.
+
+    Args:
+        by_test, by_dead_zone: changes due to each test, and per standard error of the dead zone.
+        test_degrees: degrees of freedom of the part due to the tests.
+        dead_zone: standard error of the dead zone.
+    """
+    variances = np.stack([np.sum(by_test**2, axis=0), by_dead_zone**2])
+    degrees = np.stack([test_degrees, np.full_like(test_degrees, dead_zone.degrees_of_freedom)])
+    return variances.sum(axis=0), welch_satterthwaite(variances, degrees)
 
 
 def t_quantile(degrees: float) -> float:
@@ -85,6 +102,7 @@ class Scores(NamedTuple):
         tests = int(np.count_nonzero(np.asarray(objective.batch.loss_mask).any(axis=1)))
         if tests >= position.size + MIN_SURPLUS_TESTS:
             return cls.by_test(objective, position, equations)
+        # Of too few tests no covariance of so many parameters follows: sections of them are the rows.
         stretches_per_test = -(-(position.size + MIN_SURPLUS_TESTS) // tests)
         by_segment = objective.equations_by_segment(position, stretches_per_test)
         return cls(by_segment.gradients, by_segment.curvatures)
@@ -189,6 +207,7 @@ def difference_test(
     variances, vectors = np.linalg.eigh(sum(covariances))
     if not variances[0] > MIN_RELATIVE_VARIANCE * variances[-1]:
         return None
+    # In these coordinates the differences are uncorrelated, each of variance one.
     whitening = vectors / np.sqrt(variances)
     shares = [whitening.T @ covariance @ whitening for covariance in covariances]
     group_degrees = [float(scores.degrees_of_freedom(whitening).mean()) for scores in (one, other)]

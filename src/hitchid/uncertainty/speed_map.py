@@ -24,7 +24,7 @@ from hitchid.structures import Batch, ModelSpec, PhysicalModel, Scales, opening_
 from hitchid.uncertainty.influence import Influence
 from hitchid.uncertainty.profile import MIN_PACE, Profile
 from hitchid.uncertainty.profile import STEP as EDGE
-from hitchid.uncertainty.scores import DeadZoneError, t_quantile, welch_satterthwaite
+from hitchid.uncertainty.scores import DeadZoneError, combined_variance, t_quantile
 
 # Operating points of the tests: command levels, loads, and speeds measured at constant command.
 
@@ -98,6 +98,7 @@ def measured_speeds(
             time_s = batch.step_s * (steady_samples - steady_samples[0])
             speed = np.polyfit(time_s, travel[row, steady_samples], 1)[0]
             sized_speeds.append((steady_samples.size, MeasuredSpeed(command, test_load, float(speed))))
+    # The more samples, the more certain is the slope.
     longest = sorted(sized_speeds, key=lambda entry: -entry[0])[:MAX_STRETCHES]
     return tuple(sorted((speed for _, speed in longest), key=lambda entry: entry.command))
 
@@ -157,6 +158,7 @@ def characteristics(
     level, mean_load = float(levels[levels.size // 2]), np.asarray(physical_model.mean_load)
     points = _Points(*map(jnp.asarray, (commands, load_rows, level, mean_load, dead_zone.value)))
     values = _evaluate(objective, position[None], points)[0]
+    # Relative to these, how fast a quantity changes is compared with a parameter; see `_open_ends`.
     scales = np.concatenate([np.maximum(values[:-3], TINY), [batch.step_s, batch.step_s, largest]])
     intervals = _intervals(objective, position, influence, points, dead_zone_error, scales)
     fastest = float(values[:-3].max())
@@ -223,6 +225,7 @@ def _intervals(
 
     best = scaled_quantities(position[None])[0]
     gradient = _gradient(scaled_quantities, position)
+    # Refitted, a gain makes up for most of the dead zone's error: a speed that occurred hardly changes.
     above, below = (
         scaled_quantities(estimate[None], points._replace(dead_zone=points.dead_zone + shift))[0]
         for estimate, shift in zip(
@@ -274,12 +277,9 @@ def _half_widths(
     finite = np.all(np.isfinite(gradient), axis=0) & np.isfinite(dead_zone_effect)
     gradient, dead_zone_effect = np.where(finite, gradient, 0.0), np.where(finite, dead_zone_effect, 0.0)
     by_test = influence.by_test @ gradient
-    variances = np.stack([np.sum(by_test**2, axis=0), dead_zone_effect**2])
-    test_degrees = influence.combination_degrees(gradient)
-    degrees = welch_satterthwaite(
-        variances, np.stack([test_degrees, np.full_like(test_degrees, dead_zone_error.degrees_of_freedom)])
-    )
-    widths = np.array([t_quantile(float(degree)) for degree in degrees]) * np.sqrt(variances.sum(axis=0))
+    test_degrees = influence.scores.degrees_of_freedom(gradient[influence.free])
+    variances, degrees = combined_variance(by_test, dead_zone_effect, test_degrees, dead_zone_error)
+    widths = np.array([t_quantile(float(degree)) for degree in degrees]) * np.sqrt(variances)
     return np.where(finite, widths, np.inf)
 
 
@@ -293,7 +293,7 @@ def _open_ends(
     """Return which quantities fall, and which rise, beyond an interval at a profile's open ends, shape [Q].
 
     A quantity must be at the end of its interval there and change at more than a tenth of the parameter's
-    rate, as in `Profile.open_ends`.
+    rate, as in `open_ends` of a profile.
     """
     open_below = open_above = np.zeros(lower.size, dtype=bool)
     for number, step in [(0, -EDGE)] * (profile.lower is None) + [(-1, EDGE)] * (profile.upper is None):
@@ -318,6 +318,7 @@ def _evaluate(objective: Objective, positions: np.ndarray, points: _Points) -> F
     structure, rows = objective.spec.structure.require_linear(), []
     count = points.levels.size
     padding = (0, -count % MAX_LEVELS)
+    # A program for each number of command levels would take half a second to compile.
     padded_points = points._replace(
         levels=jnp.asarray(np.pad(points.levels, padding, mode="edge")),
         loads=jnp.asarray(np.pad(points.loads, (padding, (0, 0)), mode="edge")),
