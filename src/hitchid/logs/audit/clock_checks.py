@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from hitchid._support.numbers import count
 from hitchid._support.records import Severity
-from hitchid._support.tables import count
 from hitchid.logs.audit.context import (
     MAX_SAMPLES,
     AuditFinding,
@@ -166,7 +166,9 @@ def current_lag(context: RecordContext) -> Findings:
         # A slow ramp correlates with its current at any lag.
         if is_skipped or UNITS[unit].dimension != "current" or record.kind == RAMP:
             continue
-        choices = {f"the {direction} command": (direction,) for direction in record.directions}
+        choices: dict[str, tuple[str, ...]] = {
+            f"the {direction} command": (direction,) for direction in record.directions
+        }
         choices["the commands"] = record.directions  # one sensor in the supply of both coils
         fits = {name: _fit(context, directions, role) for name, directions in choices.items()}
         lags = [(fit[1], fit[0], name) for name, fit in fits.items() if fit]

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hitchid._support.numbers import count
 from hitchid._support.records import Severity, short_repr
-from hitchid._support.tables import count
 from hitchid.logs.audit.context import (
     CampaignContext,
     Findings,

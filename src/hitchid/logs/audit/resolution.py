@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from hitchid._support.numbers import count
 from hitchid._support.records import Severity
-from hitchid._support.tables import count
 from hitchid.logs.audit.context import MAX_SAMPLES, Findings, Quality, RecordContext, fast_step
 from hitchid.logs.record import Record
 
