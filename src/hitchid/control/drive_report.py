@@ -71,7 +71,7 @@ def check_drive(metrics: Mapping[str, object], limits: Mapping[str, float]) -> A
     figures = {name: value for name, value in _flat(metrics) if not isinstance(value, str)}  # but units
     made = []
     for name, limit in limits.items():
-        if name not in figures:
+        if name not in figures:  # misspelt: it must not pass as a limit that is met
             listed = ", ".join(sorted(figures))
             raise SettingsError(f"limits: there is no figure '{name}'; expected one of {listed}")
         value = figures[name]
@@ -122,6 +122,7 @@ def closed_loop(
                 label="predicted 90 %" if axes is displacement else None,
             )
     for number, own in enumerate(loops.displacement[:SHOWN]):
+        # One line of the legend for all loops.
         label = "controller" if number == 0 else None
         displacement.plot(time_s, own, color=COLOURS["greybox"], linewidth=0.6, label=label)
         error.plot(time_s, own - target, color=COLOURS["greybox"], linewidth=0.6)
@@ -139,6 +140,7 @@ def closed_loop(
         commands, label = loops.commands[0, :, number], f"{name} current"
         current.plot(time_s, commands, color=COLOURS[colour], linewidth=0.8, label=label)
     error.axhline(0.0, color=FAINT, linewidth=0.6)
+    # The approach is in the panel above; here the tolerance is to be seen.
     widest = 1.5 * scenario.tolerance
     if not scenario.amplitude:
         beyond = np.abs(loops.displacement[:SHOWN, scenario.begin :] - target[scenario.begin :])
@@ -174,7 +176,13 @@ def drive_report(
 ) -> Document:
     """Return the report of closed loops on a bench or plant, `margins` being those of the controller file."""
     unit, names = result.unit, tuple(result.figures)
-    figures = Table(f"Figures of the {TESTED}", _header(unit), _rows(result, TESTED))
+    header, rows = _header(unit), _rows(result, TESTED)
+    figures = Table(f"Figures of the {TESTED}", header, rows)
+    shown = tuple((row[0], *row[2:6]) for row in rows)  # on a terminal, which has no room for all
+    margin_rows = tuple(
+        (f"{title} / {limit_unit}" if limit_unit else title, *(f"{own[key]:.3g}" for own in margins.values()))
+        for key, (title, limit_unit) in MARGIN_ROWS.items()
+    )
     areas = tuple(
         (scenario, *(f"{result.figures[name][scenario].iae:.2f}" for name in names))
         for scenario in result.scenarios
@@ -195,11 +203,11 @@ def drive_report(
             *([] if acceptance is None else [limits_section(acceptance)]),
             ReportSection("Figures", (Text(EXPLANATION), figures)),
             ReportSection("Beside the baselines", beside),
-            ReportSection("Margins", (Text(MARGINS), _margin_table(margins))),
+            ReportSection("Margins", (Text(MARGINS), Table("Margins", ("margin", *margins), margin_rows))),
             ReportSection("Scenarios", (Pictures(pictures),)),
             ReportSection("How to reproduce", (Table("Origin", ("what", "value"), (("command", command),)),)),
         ),
-        summary=(_summary(result),),
+        summary=(Table("closed loops", (header[0], *header[2:6]), shown),),
         checks=() if acceptance is None else acceptance.checks,
         data=result.metrics,
         data_tables={name: _data_table(result, name) for name in result.figures},
@@ -314,14 +322,6 @@ def _cell(value: float | None) -> str:
     return "" if value is None else "never" if value == float("inf") else f"{value:.2f}"
 
 
-def _margin_table(margins: Mapping[str, Mapping[str, float]]) -> Table:
-    rows = tuple(
-        (f"{title} / {unit}" if unit else title, *(f"{own[key]:.3g}" for own in margins.values()))
-        for key, (title, unit) in MARGIN_ROWS.items()
-    )
-    return Table("Margins", ("margin", *margins), rows)
-
-
 def _picture(result: Drive, name: str, scenario: Scenario) -> Picture:
     loops, baseline = result.loops[TESTED][name], result.loops[BASELINE][name]
     band = result.bands.get(name)
@@ -345,12 +345,6 @@ def _picture(result: Drive, name: str, scenario: Scenario) -> Picture:
             f"lowering_command_{result.command_unit}": loops.commands[0, :, 1],
         },
     )
-
-
-def _summary(result: Drive) -> Table:
-    rows = tuple((row[0], row[2], row[3], row[4], row[5]) for row in _rows(result, TESTED))
-    header = _header(result.unit)
-    return Table("closed loops", (header[0], *header[2:6]), rows)
 
 
 def _data_table(result: Drive, controller: str) -> DataTable:

@@ -166,9 +166,9 @@ def controller_templates(
     return c_templates(constants, name, precision), more
 
 
-def controller_run(controller: HitchController, model: Hitch, *, seed: int = 0) -> ControllerRun:
+def controller_run(controller: HitchController, model: Hitch) -> ControllerRun:
     """Return a run in closed loop with the model: steps, ramps, noise, a sensor that is lost."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     low, high = travel_of(model)
     middle, width = (0.5 * (low + high), high - low) if high - low < 1e6 else (100.0, 75.0)
     targets = _targets(middle, STROKE_SHARE * width, controller.step_s, rng)

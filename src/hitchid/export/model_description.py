@@ -72,6 +72,7 @@ def fmu_variables(
     described = "Whether there is a measured displacement"
     yield Variable("measurement_valid", "MEASUREMENT_VALID", "boolean", "input", "discrete", described)
     yield _parameter("displacement_start", "Displacement at the start", unit, start)
+    # A covariate has the name of a column, of which C takes some letters only.
     names = identifiers(model.covariates)
     for name, covariate, mean in zip(names, model.covariates, model.mean_load, strict=True):
         described = f"{covariate} before motion; its mean in the tests by default"
@@ -87,6 +88,7 @@ def fmu_variables(
             field.name, symbol, "real", "parameter", "tunable", described, tunable_unit, field.value
         )
     yield _output("displacement", "real", "Displacement", unit, start)
+    # Of one direction that is in charge from the beginning.
     mode = float(model.channels[0].command) if len(model.channels) == 1 else -1.0
     yield _output("mode", "integer", "Direction in charge: 0 lifting, 1 lowering, -1 none yet", "", mode)
     flags = "Sum of 1: command missing, 2: not measured, 4: both valves, 8: restarted"
@@ -226,12 +228,6 @@ def _interface(kind: str, name: str, sources: Sequence[str], step_s: float, *, i
     return element
 
 
-def _value(variable: Variable) -> str:
-    if variable.kind == "boolean":
-        return "true" if variable.start else "false"
-    return str(round(variable.start)) if variable.kind == "integer" else repr(variable.start)
-
-
 def _variable(reference: int, variable: Variable, *, is_2: bool) -> Element:
     attributes = {
         "name": variable.name,
@@ -244,7 +240,9 @@ def _variable(reference: int, variable: Variable, *, is_2: bool) -> Element:
         attributes["initial"] = "calculated" if variable.causality == "output" else "exact"
     typed = {"unit": variable.unit} if variable.unit else {}
     if variable.causality not in ("output", "independent"):
-        typed["start"] = _value(variable)
+        # No integer is an input or a parameter.
+        boolean = "true" if variable.start else "false"
+        typed["start"] = boolean if variable.kind == "boolean" else repr(variable.start)
     if not is_2:
         return Element(TYPES["fmi3"][variable.kind], attributes | typed)
     element = Element("ScalarVariable", attributes)

@@ -91,11 +91,12 @@ def _effects(name: str, column: Column, values: np.ndarray, variances: np.ndarra
     numeric = not any(isinstance(cell, str) for cell in column)
     for parameter in range(values.shape[1]):
         known = ~np.isnan(values[:, parameter])
+        # Parameters lack different machines, so that each has categories and a design of its own.
         labels, design, known = _slope(column, known) if numeric else _categories(column, known)
         machines = int(known.sum())
         coefficients = design.shape[1]
         if coefficients < 2 or machines < coefficients + FEWEST_LEFT or np.linalg.matrix_rank(design) < 2:
-            continue
+            continue  # no effect, or one without a test
         beta, covariance, freedom = _regression(values[known, parameter], variances[known, parameter], design)
         tested = np.eye(coefficients)[1:] - (0 if numeric else np.eye(coefficients)[0])
         difference = tested @ beta
@@ -112,6 +113,7 @@ def _slope(column: Column, known: np.ndarray) -> tuple[tuple[str, ...], np.ndarr
     """Return no labels, the columns one and number about its mean, and which machines are compared."""
     numbers = np.array([np.nan if cell is None else cell for cell in column], float)
     known = known & np.isfinite(numbers)
+    # About its mean, so that slope and mean do not depend on each other.
     centred = numbers[known] - (numbers[known].mean() if known.any() else 0.0)
     return (), np.stack([np.ones_like(centred), centred], axis=1), known
 
@@ -132,6 +134,7 @@ def _regression(
     fit = fit_random_effects(values, variances, design, np.ones((1, len(values)), bool))
     constants = normal_constants()
     beta = fit.coefficients[0]
+    # Knapp & Hartung: what scatters more than τ² and the errors explain widens the intervals, never less.
     squared = (values - design @ beta) ** 2 / (variances + fit.between[0])
     left = len(values) - len(beta)
     scatter = np.minimum(squared, constants.clip).sum() / constants.consistency / left
@@ -248,12 +251,15 @@ def _lines(
         weight = total(precision)
         centred = times - (total(precision * times) / weight)[row]
         spread = total(precision * centred**2)
+        # Rounding may leave a single time some distance from its own mean, and with it a slope.
         spread[total(np.ones_like(values)) < 2] = 0.0
         slopes = np.where(spread > 0, total(precision * centred * values) / spread, np.nan)
         residuals = values - (total(precision * values) / weight)[row] - slopes[row] * centred
         leverage = precision * (1 / weight[row] + centred**2 / spread[row])
+    # A point that its line goes through, as each of two, says nothing of the scatter.
     free = (leverage < 1 - TOLERANCE) & ~np.isnan(residuals)
     freedom = float(np.sum(1 - leverage[free]))
+    # One factor for all machines: few results of each say little of its own scatter.
     factor = _scatter((residuals**2 * precision)[free] / (1 - leverage[free]))
     with np.errstate(divide="ignore"):
         slope_errors = np.where(spread > 0, np.sqrt(factor / spread), np.nan)
@@ -365,9 +371,11 @@ def find_outliers(
     p_value = 2 * stdtr(freedom, -np.abs(t))
     q_value = adjusted_p_values(p_value)
     named = q_value <= false_discovery_rate
+    # Wider by the share of those named: the largest of many deviations were selected.
     tests = max(1, int(np.sum(~np.isnan(p_value))))
     half_width = -ndtri(false_discovery_rate * max(1, int(named.sum())) / tests / 2) * error
     half_width[~named] = np.nan
+    # As if it were the only one named: the first of m tests has to pass q/m.
     threshold = -stdtrit(freedom, false_discovery_rate / tests / 2)
     return Outliers(
         deviation,
@@ -385,6 +393,7 @@ def find_outliers(
 
 def _beside_the_others(values: np.ndarray, variances: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return deviation, its error, predictive standard deviation and degrees of freedom of each machine."""
+    # A machine must not be in the mean that it is compared with: it would hide itself.
     fold = np.arange(len(values)) % min(FOLDS, len(values))
     fit = fit_random_effects(values, variances, np.ones((len(values), 1)), fold != np.unique(fold)[:, None])
     mean, mean_variance = fit.coefficients[fold, 0], fit.covariance[fold, 0, 0]

@@ -55,7 +55,7 @@ def fleet_report(comparison: FleetComparison, *, source: str, command: str = "")
         verdict=fleet_findings(comparison),
         notices=tuple(map(sentence, comparison.notices)),
         sections=tuple(_sections(comparison, command)),
-        summary=(_summary(comparison),) if comparison.machines else (),
+        summary=(_population_table(comparison, SUMMARY),) if comparison.machines else (),
         data=comparison_metrics(comparison),
         data_tables=comparison.tables,
     )
@@ -172,12 +172,6 @@ def _columns(table: DataTable, direction: str = "") -> dict[str, list[Cell]]:
 # Tables: machines that stand out, populations, cohorts, trends, failures, costs.
 
 
-def _summary(comparison: FleetComparison) -> Table:
-    full = _population_table(comparison)
-    columns = [full.header.index(name) for name in SUMMARY]
-    return Table(full.title, SUMMARY, tuple(tuple(row[column] for column in columns) for row in full.rows))
-
-
 def _outlier_table(comparison: FleetComparison) -> Table:
     """Return the parameters in which machines stand out, smallest p-value first, at most a hundred."""
     outliers = comparison.outliers
@@ -191,6 +185,7 @@ def _outlier_table(comparison: FleetComparison) -> Table:
         )
         error = float(np.sqrt(comparison.covariances[machine, column, column]))
         value = float(parameter.value(comparison.estimates[cell]))
+        # The error of a logarithm is relative.
         text = numbers.with_error(value, value * error if parameter.logarithmic else error)
         rows.append(
             (
@@ -205,9 +200,11 @@ def _outlier_table(comparison: FleetComparison) -> Table:
     return Table("Differences, most certain first", header, tuple(rows))
 
 
-def _population_table(comparison: FleetComparison) -> Table:
-    """Return mean and spread of each parameter over machines."""
-    header = ("parameter", "machines", "mean", "95 % interval", "spread", "95 % of the machines")
+POPULATION = ("parameter", "machines", "mean", "95 % interval", "spread", "95 % of the machines")
+
+
+def _population_table(comparison: FleetComparison, columns: tuple[str, ...] = POPULATION) -> Table:
+    """Return mean and spread of each parameter over machines, all columns or some."""
     rows = []
     for parameter, population in zip(comparison.parameters, comparison.populations, strict=True):
         values = (
@@ -217,8 +214,9 @@ def _population_table(comparison: FleetComparison) -> Table:
             _ends(parameter, population.prediction_interval),
         )
         shown = ("",) * len(values) if np.isnan(population.mean) else values
-        rows.append((_name(parameter), str(population.machines), *shown))
-    return Table("Distribution over machines", header, tuple(rows))
+        row = dict(zip(POPULATION, (_name(parameter), str(population.machines), *shown), strict=True))
+        rows.append(tuple(row[column] for column in columns))
+    return Table("Distribution over machines", columns, tuple(rows))
 
 
 def _cohort_table(comparison: FleetComparison) -> Table:

@@ -82,6 +82,7 @@ class Store:
         for path, info in dict(details).items():
             name = path.removeprefix(root).lstrip("/")
             if hidden or not _is_hidden(name):
+                # In a bucket the ETag tells a changed log, in a folder its time.
                 digests = (str(info[field]) for field in DIGEST_FIELDS if info.get(field) is not None)
                 time = next((info[field] for field in TIME_FIELDS if info.get(field) is not None), None)
                 version = next(digests, str(time))
@@ -139,6 +140,7 @@ class Store:
         Raises:
             StoreError: it cannot be written.
         """
+        # An object store shows an object when all of it has arrived; a folder needs a second name until then.
         if self.is_local:
             try:
                 write_bytes(Path(self._root()[1]) / name, content, force=True)
@@ -163,6 +165,7 @@ class Store:
         Raises:
             StoreError: one cannot be written.
         """
+        # `last` tells that all are there: a run may be killed between any two.
         for file in (*sorted(set(files) - {last}), last):
             self.write(f"{name}/{file}", files[file])
 
@@ -172,6 +175,7 @@ class Store:
         except ImportError as error:
             raise InputError("fsspec is required for fleets: pip install 'hitchid[fleet]'") from error
         try:
+            # Without a cache of listings: other workers write to the bucket meanwhile.
             system, root = url_to_fs(self.url, **({} if self.is_local else {"use_listings_cache": False}))
         except (ImportError, ValueError) as error:
             raise InputError(
@@ -214,6 +218,7 @@ def download(store: Store, files: Iterable[StoredFile], folder: Path) -> dict[st
         StoreError: one cannot be read.
     """
     contents = store.read_many([file.name for file in files])
+    # Flat, as on a bench: readers take a folder's files, and a machine has no folders below it.
     by_name = {re.sub(r"^.*/", "", name): content for name, content in contents.items()}
     for name, content in by_name.items():
         (folder / name).write_bytes(content)
