@@ -336,7 +336,7 @@ def whole(identified):
     return identified / "model", sorted(path.name for path in (identified / "kept").glob(f"*{SUFFIX}"))
 
 
-def stopped_after(count, campaign, settings, place):
+def stopped_after(count, campaign, settings, folder):
     """Identify until so many pieces have been kept, and return how many were done."""
     keep, done, one_at_a_time = Checkpoints.cached_arrays, [], Lock()
 
@@ -354,9 +354,9 @@ def stopped_after(count, campaign, settings, place):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Checkpoints, "cached_arrays", arrays)
         try:
-            hitchid.identify(campaign, **settings, checkpoints=place / "kept").save(place / "model")
+            hitchid.identify(campaign, **settings, checkpoints=folder / "kept").save(folder / "model")
         except Stop:
-            assert not (place / "model").exists()
+            assert not (folder / "model").exists()
     return len(done)
 
 
@@ -381,10 +381,10 @@ def test_a_resumed_run_ends_in_the_same_model(whole, campaign, quick_settings, t
 @pytest.fixture(scope="module")
 def begun(campaign, quick_settings, tmp_path_factory):
     """Return the folder of a run that was stopped before anything was found."""
-    place = tmp_path_factory.mktemp("begun")
-    stopped_after(0, campaign, quick_settings, place)
-    assert not has_results(place / "kept")
-    return place / "kept"
+    folder = tmp_path_factory.mktemp("begun")
+    stopped_after(0, campaign, quick_settings, folder)
+    assert not has_results(folder / "kept")
+    return folder / "kept"
 
 
 BEGUN_FROM = AutoStructure(ModelSpec(structure_named("integrator"), bounds={"gain": (1.0, 2.0)}))

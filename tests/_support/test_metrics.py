@@ -70,13 +70,6 @@ def test_the_figures_of_a_hand_worked_example_come_out():
     assert figures == (2.5, 1.75, 0.75, 50.0, 4.0, 0.5)
 
 
-@given(measured_and_predicted())
-def test_rmse_lies_between_mae_and_the_largest_error(pair):
-    figures = error_figures(*pair)
-    # At most 80 terms: their mean is off by no more than 80 rounding errors.
-    assert figures.mae * (1 - 100 * EPS) <= figures.rmse <= figures.max_abs * (1 + 100 * EPS)
-
-
 @given(measured_and_predicted(), st.integers(-100, 100).map(float))
 def test_where_zero_lies_does_not_matter(pair, shift):
     actual, predicted = pair
@@ -91,15 +84,6 @@ def test_where_zero_lies_does_not_matter(pair, shift):
     # The mean of 20 values up to 200 is off by 1e-12, the spread (at least ½) by 2·20·200 times that.
     assert 1 - here.r2 == pytest.approx(1 - there.r2, rel=1e-7, abs=1e-7)
     assert 100 - here.fit == pytest.approx(100 - there.fit, rel=1e-7, abs=1e-5)
-
-
-@given(measured_and_predicted(), st.randoms(use_true_random=False))
-def test_the_order_of_tests_does_not_matter(pair, random):
-    together = list(zip(*pair, strict=True))
-    random.shuffle(together)
-    actual, predicted = zip(*together, strict=True)
-    # The same terms in another order: 80 roundings of a sum.
-    assert error_figures(actual, predicted) == pytest.approx(error_figures(*pair), rel=1e-12, abs=1e-12)
 
 
 def test_tests_at_different_heights_do_not_lend_each_other_spread():
@@ -219,8 +203,8 @@ def test_the_standard_error_is_what_campaigns_drawn_anew_show():
     draws = [[rng.standard_normal(20) for _ in range(16)] for _ in range(2000)]
     zeros = [np.zeros(20)] * 16
     figures = [np.sqrt(np.mean(np.square(draw))) for draw in draws]
-    told = np.sqrt(np.mean([rmse_error(zeros, draw) ** 2 for draw in draws]))
-    assert told == pytest.approx(np.std(figures), rel=0.08)
+    estimate = np.sqrt(np.mean([rmse_error(zeros, draw) ** 2 for draw in draws]))
+    assert estimate == pytest.approx(np.std(figures), rel=0.08)
 
 
 @pytest.mark.parametrize("tests", [3, 5, 20])
@@ -281,11 +265,3 @@ def test_holm_adjusts_by_its_definition(values):
     for value, result in zip(values, adjusted, strict=True):
         products = [(len(values) - i) * p for i, p in enumerate(ordered[: ordered.index(value) + 1])]
         assert result == min(1.0, max(products))
-
-
-def test_holm_keeps_the_rate_of_any_false_difference():
-    """Of 4000 families of 10 true null hypotheses, at most 5 % and three standard deviations show any."""
-    families = np.random.default_rng(0).random((4000, 10))
-    rate = np.mean([min(holm(family)) < 0.05 for family in families.tolist()])
-    assert rate <= 0.05 + 3 * np.sqrt(0.05 * 0.95 / 4000)
-    assert rate > 0.03  # 1 − 0.995^10 = 4.9 % is expected

@@ -65,11 +65,11 @@ def test_the_digest_is_sha_256():
 
 
 def fill(text):
-    return lambda place: (place / "mark.json").write_text(text) and None
+    return lambda folder: (folder / "mark.json").write_text(text) and None
 
 
-def fail(place):
-    (place / "mark.json").write_text("half")
+def fail(folder):
+    (folder / "mark.json").write_text("half")
     raise RuntimeError("stopped half-way")
 
 
@@ -336,14 +336,14 @@ for write in (
 
 @pytest.mark.skipif(os.name == "nt", reason="there are no such limits")
 def test_a_file_that_cannot_grow_leaves_all_as_it_was(tmp_path):
-    place = tmp_path / "place"
-    write_folder(place / "folder", lambda beside: (beside / "mark").touch(), result_kind="mark", force=False)
-    (place / "file").write_text("old")
-    before = {path: path.read_bytes() for path in place.rglob("*") if path.is_file()}
-    command = [sys.executable, "-c", WRITE_TOO_MUCH, str(place)]
+    folder = tmp_path / "place"
+    write_folder(folder / "folder", lambda beside: (beside / "mark").touch(), result_kind="mark", force=False)
+    (folder / "file").write_text("old")
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    command = [sys.executable, "-c", WRITE_TOO_MUCH, str(folder)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
     of_file, of_folder = done.stdout.splitlines()
-    assert of_file.startswith(f"{place / 'file'}: cannot be written: ")
-    assert of_folder.startswith(f"{place / 'folder'}: cannot be written: ")
-    assert {path: path.read_bytes() for path in place.rglob("*") if path.is_file()} == before
-    assert left_in(place) == ["file", "folder", f"folder/{MANIFEST_FILE}", "folder/mark"]
+    assert of_file.startswith(f"{folder / 'file'}: cannot be written: ")
+    assert of_folder.startswith(f"{folder / 'folder'}: cannot be written: ")
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+    assert left_in(folder) == ["file", "folder", f"folder/{MANIFEST_FILE}", "folder/mark"]

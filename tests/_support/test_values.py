@@ -33,15 +33,15 @@ def held(samples, **options):
     return Held(**content)
 
 
-@given(samples=arrays(np.float64, st.integers(0, 5)), place=st.integers(0, 4))
-def test_records_are_equal_if_every_sample_is(samples, place):
+@given(samples=arrays(np.float64, st.integers(0, 5)), index=st.integers(0, 4))
+def test_records_are_equal_if_every_sample_is(samples, index):
     one, other = held(samples), held(samples.copy(), source="elsewhere")
     assert one == other
     assert hash(one) == hash(other)
     assert one != held(samples, name="b")
     if samples.size:
         changed = samples.copy()
-        changed[place % samples.size] = 1.0 if np.isnan(changed[place % samples.size]) else np.nan
+        changed[index % samples.size] = 1.0 if np.isnan(changed[index % samples.size]) else np.nan
         assert one != held(changed)
         assert one != held(samples, signals={"y": changed})
     assert one != held(samples, signals={"z": samples})

@@ -31,37 +31,3 @@ from hitchid.control.tuning import TrialRun as TrialRun
 from hitchid.control.tuning import Tuning as Tuning
 from hitchid.control.tuning import limitation as limitation
 from hitchid.control.tuning import tune as tune
-
-__all__ = [
-    "ClosedLoops",
-    "ControllerFile",
-    "ControllerState",
-    "DirectionMargins",
-    "Drive",
-    "Figures",
-    "Gains",
-    "HitchController",
-    "HoldWindow",
-    "Kind",
-    "Limitation",
-    "Margins",
-    "ModelPlant",
-    "OpenLoop",
-    "PidController",
-    "Plant",
-    "PositionController",
-    "Scenario",
-    "Surroundings",
-    "TrialRun",
-    "Tuning",
-    "baselines",
-    "drive",
-    "limitation",
-    "load_controller",
-    "margins",
-    "run_closed_loops",
-    "run_plant_loops",
-    "save_controller",
-    "scenarios",
-    "tune",
-]

@@ -76,7 +76,7 @@ class ReferenceLimits(eqx.Module):
             jnp.sqrt(half**2 + 2 * braking * jnp.abs(distance)) - half, jnp.abs(distance) / step_s
         )
         speed = target_speed + jnp.sign(distance) * closing
-        within = [jnp.clip(each, -self.speed[1], self.speed[0]) for each in (reference.speed, speed)]
+        within = [jnp.clip(size, -self.speed[1], self.speed[0]) for size in (reference.speed, speed)]
         # A reference that stops decelerates as the direction can in which it moved.
         limit = jnp.where(jnp.where(speed == 0, reference.speed, speed) > 0, *self.deceleration)
         acceleration = jnp.clip((within[1] - within[0]) / step_s, -limit, limit)
@@ -246,9 +246,9 @@ class HitchController(eqx.Module):
         Raises:
             InputError: the model has no such covariate.
         """
-        known = {name for axis in self.axes for name in axis.covariates}
+        covariates = {name for axis in self.axes for name in axis.covariates}
         for name in load:
-            checks.one_of(name, known, "load")
+            checks.one_of(name, covariates, "load")
         axes = tuple(axis.at_load(load) for axis in self.axes)
         lags_s = jnp.asarray([axis.lags[0] for axis in axes])
         return eqx.tree_at(lambda controller: (controller.axes, controller.lags_s), self, (axes, lags_s))

@@ -45,20 +45,20 @@ def read_drive_limits(path: str | Path) -> dict[str, float]:
     Raises:
         SettingsError: the file is missing, no TOML, empty, or holds something that is not a number.
     """
-    place = checks.path(path, "path")
+    file = checks.path(path, "path")
     try:
-        content = tomllib.loads(place.read_text(encoding="utf-8"))
+        content = tomllib.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
-        raise SettingsError(f"{place}: cannot be read: {error.strerror}; expected a TOML file") from error
+        raise SettingsError(f"{file}: cannot be read: {error.strerror}; expected a TOML file") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SettingsError(f"{place}: is not TOML: {error}") from error
+        raise SettingsError(f"{file}: is not TOML: {error}") from error
     limits = {}
     for name, value in _flat(content):
         if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-            raise SettingsError(f"{place}: {name}: got {value!r}, expected a finite number")
+            raise SettingsError(f"{file}: {name}: got {value!r}, expected a finite number")
         limits[name] = float(value)
     if not limits:
-        raise SettingsError(f"{place}: has no limit; expected one such as iae_ratio = 0.6")
+        raise SettingsError(f"{file}: has no limit; expected one such as iae_ratio = 0.6")
     return limits
 
 
@@ -77,8 +77,8 @@ def check_drive(metrics: Mapping[str, object], limits: Mapping[str, float]) -> A
         value = figures[name]
         bound = "at least" if name in AT_LEAST else "at most"
         passed = value is not None and (value >= limit if name in AT_LEAST else value <= limit)
-        found = "missing: never settled, or not predicted" if value is None else f"{float(value):.4g}"
-        made.append(Check("closed loop", name, f"{bound} {limit:g}", found, bool(passed)))
+        figure = "missing: never settled, or not predicted" if value is None else f"{float(value):.4g}"
+        made.append(Check("closed loop", name, f"{bound} {limit:g}", figure, bool(passed)))
     return Acceptance(tuple(made))
 
 

@@ -131,10 +131,10 @@ class ControllerContent(Described):
 
     @field_validator("format")
     @classmethod
-    def _known(cls, found: int) -> int:
-        if found != FORMAT:
+    def _known(cls, version: int) -> int:
+        if version != FORMAT:
             raise ValueError(f"expected {FORMAT}; tune again")
-        return found
+        return version
 
     @model_validator(mode="after")
     def _short_delays(self) -> "ControllerContent":
@@ -275,9 +275,9 @@ def _content(tuning: Tuning, model: Hitch, model_folder: str) -> dict[str, Any]:
 def _curve(axis: Axis) -> dict[str, list[float]]:
     """Return speed and current in the middle of the stroke, for a look-up block of another system."""
     nonlinearity = axis.model.benchmark.nonlinearity
-    place = jnp.zeros(()) if nonlinearity is None else nonlinearity.scales.centre
-    speeds = np.linspace(0.0, float(axis.fastest(place)), CURVE_ROWS)
-    currents = [float(axis.current_for(jnp.asarray(speed), place)) for speed in speeds]
+    middle = jnp.zeros(()) if nonlinearity is None else nonlinearity.scales.centre
+    speeds = np.linspace(0.0, float(axis.fastest(middle)), CURVE_ROWS)
+    currents = [float(axis.current_for(jnp.asarray(speed), middle)) for speed in speeds]
     # Rounded for a person who copies the table; the controller itself solves for each speed.
     return {"speed": [float(f"{speed:.6g}") for speed in speeds], "command": currents}
 

@@ -115,8 +115,8 @@ def drawn_hitches(
 
         axes.append(jax.vmap(drawn, (0, None))(jnp.asarray(vectors), jnp.asarray(row)))
         # Loads of the runs and scatter between tests are independent: their variances add.
-        known = channel.load_filter
-        scattered = replace(known, load_scatter=jnp.hypot(known.load_scatter, spread))
+        load_filter = channel.load_filter
+        scattered = replace(load_filter, load_scatter=jnp.hypot(load_filter.load_scatter, spread))
         filters.append(jax.tree.map(lambda value: jnp.broadcast_to(value, (draws,)), scattered))
     factor = (1 + heavier) ** SPEED_EXPONENT
     factors = jnp.tile(jnp.asarray([1 / factor, factor]), (draws, 1))

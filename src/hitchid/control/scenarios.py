@@ -142,9 +142,9 @@ def _simc(controller: HitchController, number: int) -> tuple[Scalar, Scalar, Sca
     """Return K, τ and θ, the latter in s; half a sample of the hold belongs to the dead time."""
     axis = controller.axes[number]
     nonlinearity = axis.model.benchmark.nonlinearity
-    place = jnp.zeros(()) if nonlinearity is None else nonlinearity.scales.centre
-    speed = EFFECTIVE_SHARE * axis.fastest(place)
-    slope = 1 / jax.grad(axis.current_for)(speed, place)
+    middle = jnp.zeros(()) if nonlinearity is None else nonlinearity.scales.centre
+    speed = EFFECTIVE_SHARE * axis.fastest(middle)
+    slope = 1 / jax.grad(axis.current_for)(speed, middle)
     return slope, controller.lags_s[number], (axis.dead_time_samples + 0.5) * axis.step_s
 
 

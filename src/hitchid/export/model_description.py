@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import pi
-from typing import Literal, NamedTuple
+from typing import Literal
 from xml.etree import ElementTree
 
 from hitchid._support.inert import identifiers, xml_bytes
@@ -114,38 +114,32 @@ Version = Literal["fmi2", "fmi3"]
 Element = ElementTree.Element
 
 
-class BaseUnit(NamedTuple):
-    """A unit in SI units: factor, and exponents of kg, m, s, A, K and rad."""
-
-    factor: float
-    exponents: dict[str, int]
-
-
 _LENGTH, _PRESSURE = {"m": 1}, {"kg": 1, "m": -1, "s": -2}
 _VOLTAGE = {"kg": 1, "m": 2, "s": -3, "A": -1}
-BASE_UNITS = {
-    "m": BaseUnit(1.0, _LENGTH),
-    "cm": BaseUnit(1e-2, _LENGTH),
-    "mm": BaseUnit(1e-3, _LENGTH),
-    "um": BaseUnit(1e-6, _LENGTH),
-    "in": BaseUnit(0.0254, _LENGTH),
-    "rad": BaseUnit(1.0, {"rad": 1}),
-    "deg": BaseUnit(pi / 180, {"rad": 1}),
-    "s": BaseUnit(1.0, {"s": 1}),
-    "A": BaseUnit(1.0, {"A": 1}),
-    "mA": BaseUnit(1e-3, {"A": 1}),
-    "V": BaseUnit(1.0, _VOLTAGE),
-    "mV": BaseUnit(1e-3, _VOLTAGE),
-    "Pa": BaseUnit(1.0, _PRESSURE),
-    "kPa": BaseUnit(1e3, _PRESSURE),
-    "MPa": BaseUnit(1e6, _PRESSURE),
-    "bar": BaseUnit(1e5, _PRESSURE),
-    "percent": BaseUnit(1e-2, {}),
-    "1": BaseUnit(1.0, {}),
-    "K": BaseUnit(1.0, {"K": 1}),
-    "N": BaseUnit(1.0, {"kg": 1, "m": 1, "s": -2}),
-    "kN": BaseUnit(1e3, {"kg": 1, "m": 1, "s": -2}),
-    "rpm": BaseUnit(pi / 30, {"s": -1, "rad": 1}),
+# Unit to its factor in SI units, and the exponents of kg, m, s, A, K and rad.
+BASE_UNITS: dict[str, tuple[float, dict[str, int]]] = {
+    "m": (1.0, _LENGTH),
+    "cm": (1e-2, _LENGTH),
+    "mm": (1e-3, _LENGTH),
+    "um": (1e-6, _LENGTH),
+    "in": (0.0254, _LENGTH),
+    "rad": (1.0, {"rad": 1}),
+    "deg": (pi / 180, {"rad": 1}),
+    "s": (1.0, {"s": 1}),
+    "A": (1.0, {"A": 1}),
+    "mA": (1e-3, {"A": 1}),
+    "V": (1.0, _VOLTAGE),
+    "mV": (1e-3, _VOLTAGE),
+    "Pa": (1.0, _PRESSURE),
+    "kPa": (1e3, _PRESSURE),
+    "MPa": (1e6, _PRESSURE),
+    "bar": (1e5, _PRESSURE),
+    "percent": (1e-2, {}),
+    "1": (1.0, {}),
+    "K": (1.0, {"K": 1}),
+    "N": (1.0, {"kg": 1, "m": 1, "s": -2}),
+    "kN": (1e3, {"kg": 1, "m": 1, "s": -2}),
+    "rpm": (pi / 30, {"s": -1, "rad": 1}),
 }
 TYPES = {
     "fmi2": {"real": "Real", "integer": "Integer", "boolean": "Boolean"},
@@ -187,9 +181,9 @@ def model_description(
     for unit in units:
         defined = ElementTree.SubElement(definitions, "Unit", {"name": unit})
         if unit in BASE_UNITS:
-            base = BASE_UNITS[unit]
-            exponents = {symbol: str(exponent) for symbol, exponent in base.exponents.items()}
-            ElementTree.SubElement(defined, "BaseUnit", {**exponents, "factor": repr(base.factor)})
+            factor, exponents = BASE_UNITS[unit]
+            texts = {symbol: str(exponent) for symbol, exponent in exponents.items()}
+            ElementTree.SubElement(defined, "BaseUnit", {**texts, "factor": repr(factor)})
     categories = ElementTree.SubElement(root, "LogCategories")
     ElementTree.SubElement(categories, "Category", {"name": "logStatusError"})
     ElementTree.SubElement(root, "DefaultExperiment", {"startTime": "0", "stepSize": repr(step_s)})

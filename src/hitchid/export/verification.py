@@ -168,13 +168,13 @@ class Compiler:
         Raises:
             InputError: the compiler fails; its first message is shown.
         """
-        place = sources[0].parent
+        folder = sources[0].parent
         # Relative names: libraries for some platforms hold them, and must not depend on the folder.
-        names = [path.name if path.parent == place else str(path) for path in (*sources, out)]
+        names = [path.name if path.parent == folder else str(path) for path in (*sources, out)]
         arguments = [*self.command, *STANDARD, *options, "-o", names[-1], *names[:-1], "-lm"]
         # The sources are our own, the compiler is the user's.
         done = subprocess.run(  # noqa: S603
-            arguments, cwd=place, capture_output=True, text=True, timeout=COMPILE_TIMEOUT_S, check=False
+            arguments, cwd=folder, capture_output=True, text=True, timeout=COMPILE_TIMEOUT_S, check=False
         )
         if done.returncode:
             first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
@@ -340,8 +340,8 @@ def verify(
         ParityError: the differences are larger than rounding explains.
         InputError: the compiler fails.
     """
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
         program = folder / "replay"
         compiler.compile(sources, program)
         free, measured = (replay([str(program)], run, folder) for run in runs)

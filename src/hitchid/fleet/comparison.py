@@ -57,10 +57,10 @@ def comparison_tables(comparison: "FleetComparison") -> dict[str, DataTable]:
     `estimate`, `deviation`, slopes and their ends are of the logarithm where the column `logarithm` is true.
     """
     # `nonzero` goes by machine, then parameter: the order of the rows of the table.
-    known = (cells.tolist() for cells in np.nonzero(~np.isnan(comparison.estimates)))
+    indices = (cells.tolist() for cells in np.nonzero(~np.isnan(comparison.estimates)))
     lines: dict[str, Iterable[Mapping[str, Cell]]] = {
         "outliers": (_line(comparison, *cell) for cell in comparison.outliers.ranking),
-        "machines": (_line(comparison, *cell) for cell in zip(*known, strict=True)),
+        "machines": (_line(comparison, *cell) for cell in zip(*indices, strict=True)),
         "populations": _populations(comparison),
         "cohorts": _cohorts(comparison),
         "trends": _trend_rows(comparison),

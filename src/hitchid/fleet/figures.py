@@ -59,13 +59,13 @@ def draw_machine_intervals(
 
 def draw_quantiles(axes: Axes, values: Float[np.ndarray, " n"], row: int) -> None:
     """Draw 95 % and half of some values as a thin and a thick line, and their median, in one row."""
-    known = values[~np.isnan(values)]
-    if not known.size:
+    present = values[~np.isnan(values)]
+    if not present.size:
         return
-    (low, high), (first, third) = np.quantile(known, OUTER), np.quantile(known, INNER)
+    (low, high), (first, third) = np.quantile(present, OUTER), np.quantile(present, INNER)
     axes.hlines([row], low, high, color=INK, linewidth=INTERVAL_WIDTH)
     axes.hlines([row], first, third, color=INK, linewidth=4 * INTERVAL_WIDTH)
-    axes.plot([np.median(known)], [row], "|", color=INK, markersize=9)
+    axes.plot([np.median(present)], [row], "|", color=INK, markersize=9)
 
 
 def ellipse(
@@ -93,10 +93,10 @@ def draw_machine_points(
     ):
         if of_it.any():
             axes.plot(x[of_it], y[of_it], marker, color=colour, markersize=size, label=label)
-    place = np.stack([x / (np.ptp(x) or 1.0), y / (np.ptp(y) or 1.0)])
+    scaled = np.stack([x / (np.ptp(x) or 1.0), y / (np.ptp(y) or 1.0)])
     written: list[int] = []
     for index in [index for index, name in enumerate(names) if name]:
-        distances = np.abs(place[:, written] - place[:, [index]])
+        distances = np.abs(scaled[:, written] - scaled[:, [index]])
         if not np.any(np.all(distances < np.array(NAME_SHARE)[:, None], axis=0)):
             written.append(index)
             at = (x[index], y[index])

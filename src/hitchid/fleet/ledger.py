@@ -59,7 +59,7 @@ def parquet(table: "DataTable") -> bytes:
         from pyarrow.parquet import write_table
     except ImportError as error:
         raise InputError("pyarrow is required for fleets: pip install 'hitchid[fleet]'") from error
-    columns = {name: [row[place] for row in table.rows] for place, name in enumerate(table.columns)}
+    columns = {name: [row[index] for row in table.rows] for index, name in enumerate(table.columns)}
     with TemporaryDirectory() as folder:
         path = Path(folder) / PARQUET_FILE
         write_table(pa.table(columns), path)

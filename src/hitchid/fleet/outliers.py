@@ -90,14 +90,15 @@ def compare_cohorts(
 def _effects(name: str, column: Column, values: np.ndarray, variances: np.ndarray) -> Iterator[CohortEffect]:
     numeric = not any(isinstance(cell, str) for cell in column)
     for parameter in range(values.shape[1]):
-        known = ~np.isnan(values[:, parameter])
+        compared = ~np.isnan(values[:, parameter])
         # Parameters lack different machines, so that each has categories and a design of its own.
-        labels, design, known = _slope(column, known) if numeric else _categories(column, known)
-        machines = int(known.sum())
+        labels, design, compared = _slope(column, compared) if numeric else _categories(column, compared)
+        machines = int(compared.sum())
         coefficients = design.shape[1]
         if coefficients < 2 or machines < coefficients + FEWEST_LEFT or np.linalg.matrix_rank(design) < 2:
             continue  # no effect, or one without a test
-        beta, covariance, freedom = _regression(values[known, parameter], variances[known, parameter], design)
+        own = values[compared, parameter], variances[compared, parameter]
+        beta, covariance, freedom = _regression(*own, design)
         tested = np.eye(coefficients)[1:] - (0 if numeric else np.eye(coefficients)[0])
         difference = tested @ beta
         squares = difference @ np.linalg.solve(tested @ covariance @ tested.T, difference)
@@ -109,22 +110,22 @@ def _effects(name: str, column: Column, values: np.ndarray, variances: np.ndarra
         yield CohortEffect(name, parameter, labels, machines, tuple(beta[shown].tolist()), intervals, p_value)
 
 
-def _slope(column: Column, known: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+def _slope(column: Column, compared: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
     """Return no labels, the columns one and number about its mean, and which machines are compared."""
     numbers = np.array([np.nan if cell is None else cell for cell in column], float)
-    known = known & np.isfinite(numbers)
+    compared = compared & np.isfinite(numbers)
     # About its mean, so that slope and mean do not depend on each other.
-    centred = numbers[known] - (numbers[known].mean() if known.any() else 0.0)
-    return (), np.stack([np.ones_like(centred), centred], axis=1), known
+    centred = numbers[compared] - (numbers[compared].mean() if compared.any() else 0.0)
+    return (), np.stack([np.ones_like(centred), centred], axis=1), compared
 
 
-def _categories(column: Column, known: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+def _categories(column: Column, compared: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
     """Return the categories, their indicators, and which machines are compared."""
     texts = np.array([cell if isinstance(cell, str) else "" for cell in column])
-    names, counts = np.unique(texts[known & (texts != "")], return_counts=True)
+    names, counts = np.unique(texts[compared & (texts != "")], return_counts=True)
     labels = tuple(names[counts >= FEWEST_IN_COHORT].tolist())
-    known = known & np.isin(texts, labels)
-    return labels, (texts[known, None] == np.array(labels, texts.dtype)).astype(float), known
+    compared = compared & np.isin(texts, labels)
+    return labels, (texts[compared, None] == np.array(labels, texts.dtype)).astype(float), compared
 
 
 def _regression(
@@ -182,7 +183,7 @@ class FleetTrends(Value):
         """Machine and parameter of each slope, smallest p-value first."""
         rows, parameters = np.nonzero(~np.isnan(self.p_values))
         order = np.argsort(self.p_values[rows, parameters], kind="stable")
-        return tuple((int(self.machines[rows[each]]), int(parameters[each])) for each in order)
+        return tuple((int(self.machines[rows[cell]]), int(parameters[cell])) for cell in order)
 
 
 def fit_trends(
@@ -244,8 +245,8 @@ def _lines(
     row, times, values = row[present], times[present], values[present]
     precision = 1 / variances[present]
 
-    def total(each: np.ndarray) -> np.ndarray:
-        return np.bincount(row, each, machines)
+    def total(terms: np.ndarray) -> np.ndarray:
+        return np.bincount(row, terms, machines)
 
     with np.errstate(invalid="ignore", divide="ignore"):
         weight = total(precision)

@@ -164,8 +164,8 @@ def _forest(comparison: FleetComparison, direction: str) -> Picture:
 
 def _columns(table: DataTable, direction: str = "") -> dict[str, list[Cell]]:
     """Return the columns of a table, of one direction where it is given."""
-    place = table.columns.index("direction")
-    rows = [row for row in table.rows if not direction or row[place] == direction]
+    index = table.columns.index("direction")
+    rows = [row for row in table.rows if not direction or row[index] == direction]
     return {name: [row[column] for row in rows] for column, name in enumerate(table.columns)}
 
 

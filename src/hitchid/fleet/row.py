@@ -205,7 +205,7 @@ class ValidationRow(TaskRow):
     @property
     def p_value(self) -> float:
         """Smallest p-value of a direction, for all directions together (Bonferroni); 1 without any."""
-        values = [each.p_value for each in self.directions.values() if each.p_value is not None]
+        values = [drift.p_value for drift in self.directions.values() if drift.p_value is not None]
         return min(1.0, len(values) * min(values)) if values else 1.0
 
 

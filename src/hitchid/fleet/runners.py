@@ -10,13 +10,13 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import TYPE_CHECKING, Generic, cast
+from typing import Generic, cast
 from urllib.parse import urlsplit
 
 from hitchid.errors import InputError, OutputError
@@ -24,10 +24,6 @@ from hitchid.fleet.ledger import TABLE_FILE, compact, newest, read_rows, row_nam
 from hitchid.fleet.row import FAILED, OneRow, TaskRow
 from hitchid.fleet.store import Machine, machines_of
 from hitchid.fleet.task import UNFINISHED, Acknowledgement, Job, prepare_worker, run_task
-
-if TYPE_CHECKING:
-    from distributed import Client
-
 
 # Runner on a cluster of dask.distributed, started here or reached by its address.
 
@@ -50,13 +46,27 @@ def run_on_cluster(
         InputError: dask.distributed is not installed, or the address is neither TLS nor on this machine.
     """
     try:
-        from distributed import as_completed
+        from distributed import Client, LocalCluster, as_completed
 
         from hitchid.fleet.one_core import OneCore
     except ImportError as error:
         raise InputError("dask.distributed is required: pip install 'hitchid[fleet]'") from error
 
-    with _client(workers, scheduler) as client:
+    with ExitStack() as stack:
+        target = None if scheduler is None else check_scheduler(scheduler)
+        if target is None:
+            cluster = LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",
+                memory_limit=0,  # workers bound their memory themselves
+                silence_logs=logging.CRITICAL,
+            )
+            target = stack.enter_context(cluster)
+        # Not the default client: the caller's own work with dask must not end up here.
+        client = stack.enter_context(Client(target, set_as_default=False))
         client.register_plugin(OneCore())
         on_page(str(client.dashboard_link))
         futures = {
@@ -91,29 +101,6 @@ def check_scheduler(address: str) -> str:
     raise InputError(
         f"scheduler: got {address}, expected tls://HOST:PORT, or tcp:// with an address of this machine"
     )
-
-
-@contextmanager
-def _client(workers: int, scheduler: str | None) -> Iterator["Client"]:
-    from distributed import Client, LocalCluster
-
-    if scheduler is not None:
-        with Client(check_scheduler(scheduler), set_as_default=False) as client:
-            yield client
-        return
-    with (
-        LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",
-            memory_limit=0,  # workers bound their memory themselves
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        Client(cluster, set_as_default=False) as client,
-    ):
-        yield client
 
 
 REMOVALS = 10  # of a folder that is written meanwhile, until nothing more can be written in it; chosen
