@@ -88,7 +88,7 @@ def fmu_variables(
             field.name, symbol, "real", "parameter", "tunable", described, tunable_unit, field.value
         )
     yield _output("displacement", "real", "Displacement", unit, start)
-    # Of one direction that is in charge from the beginning.
+    # A single direction is in charge from the beginning.
     mode = float(model.channels[0].command) if len(model.channels) == 1 else -1.0
     yield _output("mode", "integer", "Direction in charge: 0 lifting, 1 lowering, -1 none yet", "", mode)
     flags = "Sum of 1: command missing, 2: not measured, 4: both valves, 8: restarted"

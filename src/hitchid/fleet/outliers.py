@@ -372,7 +372,7 @@ def find_outliers(
     p_value = 2 * stdtr(freedom, -np.abs(t))
     q_value = adjusted_p_values(p_value)
     named = q_value <= false_discovery_rate
-    # Wider by the share of those named: the largest of many deviations were selected.
+    # The wider the fewer are named: these are the largest of many deviations, which were selected.
     tests = max(1, int(np.sum(~np.isnan(p_value))))
     half_width = -ndtri(false_discovery_rate * max(1, int(named.sum())) / tests / 2) * error
     half_width[~named] = np.nan
