@@ -83,7 +83,7 @@ def pythons():
     """Return the oldest and the newest Python found here."""
     pythons = [python for version in VERSIONS if (python := find_python(version)) is not None]
     if len(pythons) < 2:
-        pytest.skip(f"needs two of Python {', '.join(VERSIONS)}; pythons {len(pythons)}")
+        pytest.skip(f"needs two of Python {', '.join(VERSIONS)}; found {len(pythons)}")
     return {"oldest": pythons[0], "newest": pythons[-1]}
 
 
