@@ -214,7 +214,8 @@ def _population_table(comparison: FleetComparison, columns: tuple[str, ...] = PO
             _ends(parameter, population.prediction_interval),
         )
         shown = ("",) * len(values) if np.isnan(population.mean) else values
-        row = dict(zip(POPULATION, (_name(parameter), str(population.machines), *shown), strict=True))
+        cells = (_name(parameter), str(population.machines), *shown)
+        row: dict[str, str] = dict(zip(POPULATION, cells, strict=True))
         rows.append(tuple(row[column] for column in columns))
     return Table("Distribution over machines", columns, tuple(rows))
 
