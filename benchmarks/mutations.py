@@ -176,7 +176,7 @@ MUTATIONS = (
         "fleet/random_effects.py",
         "false_discovery_control(p_values[tested])",
         "p_values[tested]",
-        "fleet/test_multiple_testing.py",
+        "fleet/test_random_effects.py",
     ),
     Mutation(
         "export/constants.py",

@@ -14,7 +14,7 @@ import shutil
 import signal
 import struct
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
@@ -54,18 +54,13 @@ from hitchid.logs.inspect import inspect_campaign
 from hitchid.logs.record import LIFTING, Record
 from hitchid.logs.signal_map import read_campaign_file
 from hitchid.model import (
-    Characteristics,
-    Estimate,
     Estimates,
     Hitch,
     Information,
     LoadOfTest,
     LoadScatter,
-    MeasuredSpeed,
     Provenance,
-    Quantity,
     SearchSummary,
-    SpeedPoint,
     TravelLimits,
     TwoModes,
     Uncertainty,
@@ -80,6 +75,7 @@ from hitchid.structures import PhysicalModel, structure_named
 from hitchid.validation import read_limits
 from hitchid.validation.channels import channel_result
 from hitchid.validation.tables import search_table
+from plotted import characteristics, estimate
 
 SAMPLES, STEP_S = 60, 0.01
 REFUSED, ACCEPTED = "refused", "accepted"
@@ -189,10 +185,17 @@ DBC = (
 )
 
 
-def seeds(place: Path) -> list[Seed]:
+def seeds(folder: Path) -> list[Seed]:
     """Write a file of every kind and return them as seeds."""
-    place.mkdir(parents=True, exist_ok=True)
-    return [*_texts(place), *_tables(place), *_containers(place), *_buses(place), *_settings(), *_kept(place)]
+    folder.mkdir(parents=True, exist_ok=True)
+    return [
+        *_texts(folder),
+        *_tables(folder),
+        *_containers(folder),
+        *_buses(folder),
+        *_settings(folder),
+        *_kept(folder),
+    ]
 
 
 def _log(name: str, content: bytes, **options: Any) -> Seed:
@@ -201,9 +204,9 @@ def _log(name: str, content: bytes, **options: Any) -> Seed:
     return Seed(name, files, (f"a.{ending}",), read_logs, **options)
 
 
-def _texts(place: Path) -> Iterator[Seed]:
-    write_table(place / "a.csv", columns())
-    plain = (place / "a.csv").read_bytes()
+def _texts(folder: Path) -> Iterator[Seed]:
+    write_table(folder / "a.csv", columns())
+    plain = (folder / "a.csv").read_bytes()
     rows = [line.split(",") for line in plain.decode().splitlines()]
     yield _log("csv", plain, text=True)
     yield _log("csv with another", plain, text=True, beside={"b.csv": plain})
@@ -222,25 +225,25 @@ def _texts(place: Path) -> Iterator[Seed]:
     yield _log("csv.gz", gzip.compress(plain, mtime=0), sealed=True)
 
 
-def _tables(place: Path) -> Iterator[Seed]:
+def _tables(folder: Path) -> Iterator[Seed]:
     for ending in ("tdms", "mf4", "parquet"):
-        write_table(place / f"a.{ending}", columns())
-        yield _log(ending, (place / f"a.{ending}").read_bytes(), sealed=ending == "parquet")
+        write_table(folder / f"a.{ending}", columns())
+        yield _log(ending, (folder / f"a.{ending}").read_bytes(), sealed=ending == "parquet")
     waves = {name: values for name, values in columns().items() if name != "time_s"}
     stated = {"wf_increment": STEP_S, "wf_start_offset": 0.0, "wf_samples": SAMPLES}
-    with TdmsWriter(place / "w.tdms") as writer:
+    with TdmsWriter(folder / "w.tdms") as writer:
         for half in (slice(0, 30), slice(30, SAMPLES)):
             writer.write_segment([ChannelObject("Bench", n, v[half], stated) for n, v in waves.items()])
-    yield _log("tdms waveforms", (place / "w.tdms").read_bytes())
+    yield _log("tdms waveforms", (folder / "w.tdms").read_bytes())
     for version, compression in (("3.30", 0), ("4.11", 2)):
         time_s = columns()["time_s"]
         with asammdf.MDF(version=version) as log:
             log.append([asammdf.Signal(v, time_s, name=n) for n, v in waves.items()], common_timebase=True)
-            stored = log.save(place / f"m{version}.mf4", overwrite=True, compression=compression)
+            stored = log.save(folder / f"m{version}.mf4", overwrite=True, compression=compression)
         yield _log(f"mf4 {version}", Path(stored).read_bytes())
 
 
-def _containers(place: Path) -> Iterator[Seed]:
+def _containers(folder: Path) -> Iterator[Seed]:
     for name, options in {
         "mat": {},
         "mat compressed": {"do_compression": True},
@@ -256,38 +259,38 @@ def _containers(place: Path) -> Iterator[Seed]:
     made = io.BytesIO()
     savemat(made, {**columns(), "run": export})
     yield _log("mat structs", made.getvalue())
-    with h5py.File(place / "a.mat", "w", userblock_size=512) as file:
+    with h5py.File(folder / "a.mat", "w", userblock_size=512) as file:
         for name, values in columns().items():
             dataset = file.create_dataset(name, data=values[None, :])
             dataset.attrs["MATLAB_class"] = np.bytes_("double")
     head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + struct.pack("<H2s", 0x0200, b"IM")
-    yield _log("mat 7.3", head.ljust(512, b"\0") + (place / "a.mat").read_bytes()[512:])
+    yield _log("mat 7.3", head.ljust(512, b"\0") + (folder / "a.mat").read_bytes()[512:])
     for name, options in {
         "h5": {},
         "h5 chunks": {"compression": "gzip", "chunks": (20,), "fletcher32": True},
     }.items():
-        with h5py.File(place / "a.h5", "w") as file:
+        with h5py.File(folder / "a.h5", "w") as file:
             for column, values in columns().items():
                 file.create_dataset(f"log/{column}", data=values, **options)
-        yield _log(name, (place / "a.h5").read_bytes())
-    with h5py.File(place / "a4.nc", "w", libver="latest") as file:
+        yield _log(name, (folder / "a.h5").read_bytes())
+    with h5py.File(folder / "a4.nc", "w", libver="latest") as file:
         scale = file.create_dataset("time_s", data=1e3 * columns()["time_s"])
         scale.make_scale("time_s")
         scale.attrs["units"] = np.bytes_("milliseconds since 2024-05-01 10:00:00")
         for name, values in columns().items():
             if name != "time_s":
                 file.create_dataset(name, data=values).dims[0].attach_scale(scale)
-    yield _log("nc 4", (place / "a4.nc").read_bytes())
-    with netcdf_file(place / "a3.nc", "w") as file:
+    yield _log("nc 4", (folder / "a4.nc").read_bytes())
+    with netcdf_file(folder / "a3.nc", "w") as file:
         file.createDimension("time_s", SAMPLES)
         for name, values in columns().items():
             file.createVariable(name, "d", ("time_s",))[:] = values
         file.variables["time_s"].units = "s"
-    yield _log("nc 3", (place / "a3.nc").read_bytes())
+    yield _log("nc 3", (folder / "a3.nc").read_bytes())
 
 
-def _buses(place: Path) -> Iterator[Seed]:
-    database = write_dbc(place / "bus.dbc", *DBC).read_bytes()
+def _buses(folder: Path) -> Iterator[Seed]:
+    database = write_dbc(folder / "bus.dbc", *DBC).read_bytes()
     grouped = database.replace(b"BO_ 256 ", b"BO_ 2566849278 ")
     log = columns()
     frames = []
@@ -298,7 +301,7 @@ def _buses(place: Path) -> Iterator[Seed]:
             frame(stamp_s, 0x101, struct.pack(">hHI", round(moved), 0, 0)),
         ]
     for ending in ("asc", "blf", "mf4"):
-        content = logged(frames, place / f"bus.{ending}").read_bytes()
+        content = logged(frames, folder / f"bus.{ending}").read_bytes()
         name = "mf4 bus" if ending == "mf4" else ending
         yield _log(name, content, text=ending == "asc", beside={"bus.dbc": database})
         if ending == "asc":
@@ -310,12 +313,8 @@ def _buses(place: Path) -> Iterator[Seed]:
             yield Seed("dbc of two", bus, ("of-a-tractor.dbc",), read_logs, text=True)
 
 
-def _settings() -> Iterator[Seed]:
-    write = io.StringIO()
-    np.savetxt(
-        write, np.transpose(list(columns().values())), "%.6g", ",", header=",".join(columns()), comments=""
-    )
-    log = write.getvalue().encode()
+def _settings(folder: Path) -> Iterator[Seed]:
+    log = (folder / "a.csv").read_bytes()
     beside = {"campaign.toml": CAMPAIGN.encode(), "a.csv": log, "b.csv": log}
     nominal = resources.files("hitchid.bench") / "parameters" / "nominal.toml"
     for name, files, door in (
@@ -328,11 +327,11 @@ def _settings() -> Iterator[Seed]:
         yield Seed(name, files, (named,), door, text=True, changes=(_toml_changed(named),))
 
 
-def _kept(place: Path) -> Iterator[Seed]:
+def _kept(folder: Path) -> Iterator[Seed]:
     for name, model in _models():
-        shutil.rmtree(place / "model", ignore_errors=True)
-        save(model, place / "model", trace={LIFTING: TRACE})
-        files = {path.name: path.read_bytes() for path in (place / "model").iterdir() if path.name[0] != "."}
+        shutil.rmtree(folder / "model", ignore_errors=True)
+        save(model, folder / "model", trace={LIFTING: TRACE})
+        files = {path.name: path.read_bytes() for path in (folder / "model").iterdir() if path.name[0] != "."}
         if model.rivals:
             yield Seed("model", files, tuple(files), read_model, sealed=True)
             yield Seed("trace resealed", files, (), read_model_trace, changes=(_trace_resealed,))
@@ -341,8 +340,8 @@ def _kept(place: Path) -> Iterator[Seed]:
         yield Seed(f"model {name} in use", files, (), use_model, changes=(_resealed,), costly=True)
     model = made_up_model(shape=True)
     tuning = made_up_tuning(made_up_controller(model), {"pressure": 125.0})
-    save_controller(tuning, model, place / CONTROLLER, force=True)
-    controller, edits = {CONTROLLER: (place / CONTROLLER).read_bytes()}, (_toml_changed(CONTROLLER),)
+    save_controller(tuning, model, folder / CONTROLLER, force=True)
+    controller, edits = {CONTROLLER: (folder / CONTROLLER).read_bytes()}, (_toml_changed(CONTROLLER),)
     yield Seed("controller", controller, (CONTROLLER,), use_controller, text=True, changes=edits)
     row = {ROW: fleet_rows.row("tractor-7", {LIFTING: fleet_rows.figures(LIFTING)}).as_json()}
     yield Seed("fleet row", row, tuple(row), compare_row, text=True, changes=(_json_changed(ROW),))
@@ -351,11 +350,11 @@ def _kept(place: Path) -> Iterator[Seed]:
     settings = {"settings.json": canonical_json(KEPT_SETTINGS)}
     yield Seed("kept settings", settings, (), read_kept_settings, changes=(_json_changed("settings.json"),))
     kept = {"values": np.arange(20.0), "number": np.array(3), "name": np.array("x")}
-    Checkpoints(place / "pieces").cached_arrays("piece", lambda: kept)
-    (piece,) = (place / "pieces").iterdir()
+    Checkpoints(folder / "pieces").cached_arrays("piece", lambda: kept)
+    (piece,) = (folder / "pieces").iterdir()
     yield Seed("checkpoint", {piece.name: piece.read_bytes()}, (piece.name,), read_checkpoint, sealed=True)
     piece.unlink()
-    Checkpoints(place / "pieces").cached("piece", Piece, lambda: PIECE, SHAPES)
+    Checkpoints(folder / "pieces").cached("piece", Piece, lambda: PIECE, SHAPES)
     files = {piece.name: piece.read_bytes()}
     yield Seed("checkpoint resealed", files, (), use_checkpoint, changes=(_piece_resealed,))
 
@@ -364,11 +363,11 @@ def _models() -> Iterator[tuple[str, Hitch]]:
     """Yield models of several structures, with every part that a model may have."""
     whole = hitch(compensated=True, baselines=True, free_run=True, dead_time_s=0.03)
     search = SearchSummary("whale", (1.0, None), (600, 590), (0, 600), (None, 1.0), ((1.0,), (2.0,)))
-    known = {
-        direction: replace(each, searches=(search,), paper_estimates=GAIN_ESTIMATES)
-        for direction, each in whole.rivals.items()
+    rivals = {
+        direction: replace(own, searches=(search,), paper_estimates=GAIN_ESTIMATES)
+        for direction, own in whole.rivals.items()
     }
-    yield "whole", replace(with_bands(whole, *whole.channels), rivals=known)
+    yield "whole", replace(with_bands(whole, *whole.channels), rivals=rivals)
     yield "curves", _assessed(hitch("integrator-second-order", shape=True, filtered=True))
     yield "one channel", hitch("first-order-lag", modes=(LIFTING,), end_stop=120.5)
     friction = jnp.array([100.0, 2.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -379,34 +378,22 @@ def _models() -> Iterator[tuple[str, Hitch]]:
 
 def _assessed(model: Hitch) -> Hitch:
     """Return a model with all that is known of its parameters."""
-    none = (None, None)
     uncertainty = {}
     for direction, described in model.channels.items():
         values = {
             name: described.benchmark.named_values()[name] for name in ("gain", "damping_ratio", "opening")
         }
         parameters = tuple(
-            Estimate(
-                *(name, "", "1", value, 0.1, (0.9 * value, 1.1 * value), "profile", none, 0.01, 90.0),
-                *(name == "opening", True, "determined", 0.2, ((0.9 * value, 0.5), (value, 0.4))),
-            )
+            estimate(name, value, profile=((0.9 * value, 0.5), (value, 0.4)), linear=name == "opening")
             for name, value in values.items()
         )
         matrix = tuple(map(tuple, np.eye(3).tolist()))
-        estimates = Estimates(parameters, (), matrix, 8, 8)
-        dead_zone = Quantity("dead zone", "A", described.dead_zone, none, False)
-        points = tuple(
-            SpeedPoint(c, load, 20 * c, (19 * c, None), True) for c in (0.5, 1.0) for load in (90.0, 130.0)
-        )
         uncertainty[direction] = Uncertainty(
-            estimates,
+            Estimates(parameters, (), matrix, 8, 8),
             information=Information(
                 tuple(values), (1.0, 2.0, 3.0), *[matrix] * 3, (1.0, 0.5), 10, True, 8, 400.0
             ),
-            characteristics=Characteristics(
-                *("A", "mm/s", "pressure", dead_zone, dead_zone, 1.0, dead_zone, None, points),
-                (MeasuredSpeed(0.5, 90.0, 10.0),),
-            ),
+            characteristics=characteristics("pressure"),
             load_scatter=LoadScatter(0.04, (0.01, None), 0.2, (LoadOfTest("a", 0.04, (0.0, 0.1)),)),
         )
     provenance = Provenance(
@@ -423,18 +410,7 @@ def _assessed(model: Hitch) -> Hitch:
 
 
 CONTROLLER, ROW, CHANGE_LOG = "controller.toml", "row.json", "changes.jsonl"
-GAIN_ESTIMATES = Estimates(
-    (
-        Estimate(
-            *("gain", "K", "mm/(s·A)", 30.0, 0.1, (29.0, 31.0), "profile", None, 0.01, 90.0),
-            *(False, True, "determined", 0.2, ((29.0, 0.5), (31.0, 0.4))),
-        ),
-    ),
-    (),
-    ((1.0,),),
-    8,
-    8,
-)
+GAIN_ESTIMATES = Estimates((estimate("gain", 30.0, profile=((29.0, 0.5), (31.0, 0.4))),), (), ((1.0,),), 8, 8)
 TRACE = {
     "dead_zone": {"value": 0.35, "spread": 0.01, "count": 2, "origin": "ramps"},
     "phase1": {
@@ -484,8 +460,10 @@ def read_logs(folder: Path, process: ReaderProcess) -> object:
     records = [record for path in paths for record in read_log(path, settings[path.parent], process)]
     campaign = assemble(records, settings, strict=True)
     canonical_json(inspect_campaign(campaign).describe())
-    held = [(role, values.tobytes()) for each in campaign.records for role, values in each.signals.items()]
-    return [(each.step_s, each.fingerprint, dict(each.units)) for each in campaign.records], held
+    return [
+        (record.step_s, record.fingerprint, record.units, {k: v.tobytes() for k, v in record.signals.items()})
+        for record in campaign.records
+    ]
 
 
 def read_campaign(folder: Path, process: ReaderProcess) -> object:
@@ -583,7 +561,7 @@ def read_model_trace(folder: Path, _: ReaderProcess) -> object:
         for picture in drawn:
             picture.figure.draw_without_rendering()
             DataTable.of_columns("figure", picture.data).csv()
-        next((each for each in trace.candidates if each.chosen), None)
+        next((candidate for candidate in trace.candidates if candidate.chosen), None)
     save(load(folder), folder.with_name("again"), trace=content, force=True)
     return content
 
@@ -623,7 +601,8 @@ def resume_adaptation(folder: Path, _: ReaderProcess) -> object:
     state = Adapter(model, AdaptationSettings()).resumed(events)
     adapted = changed_model(model, state.changes, state.band_factors)
     repr(adapted)
-    if not all(np.isfinite(each.benchmark.parameter_vector).all() for each in adapted.channels.values()):
+    parameters = [own.benchmark.parameter_vector for own in adapted.channels.values()]
+    if not np.isfinite(np.concatenate(parameters)).all():
         raise ValueError("a parameter that is no number")
     return [event.sentence for event in events]
 
@@ -685,59 +664,39 @@ WORDS = (
 WORD = re.compile(r"[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?|[A-Za-z_]+")
 
 
+def _one_of(rng: np.random.Generator, choices: Sequence[Any]) -> Any:
+    return choices[int(rng.integers(0, len(choices)))]
+
+
 def _place(rng: np.random.Generator, data: bytes) -> int:
     return int(rng.integers(0, max(1, len(data))))
 
 
-def _length(rng: np.random.Generator, data: bytes) -> int:
-    return int(min(2 ** rng.uniform(0, 10), len(data)))
-
-
-def _flip(rng: np.random.Generator, data: bytes) -> bytes:
-    changed = bytearray(data)
-    for _ in range(int(rng.integers(1, 4))):
-        if changed:
-            changed[_place(rng, data)] ^= 1 << int(rng.integers(0, 8))
-    return bytes(changed)
-
-
-def _overwrite(rng: np.random.Generator, data: bytes) -> bytes:
-    at, size = _place(rng, data), int(rng.choice([1, 1, 2, 4, 8, 64]))
-    fresh = rng.bytes(size) if rng.random() < 0.3 else bytes([int(rng.choice(BYTES))]) * size
-    return (data[:at] + fresh + data[at + size :])[: max(len(data), 1)]
-
-
-def _insert(rng: np.random.Generator, data: bytes) -> bytes:
-    at = _place(rng, data)
-    return data[:at] + rng.bytes(_length(rng, data)) + data[at:]
-
-
-def _delete(rng: np.random.Generator, data: bytes) -> bytes:
-    at = _place(rng, data)
-    return data[:at] + data[at + _length(rng, data) :]
-
-
-def _duplicate(rng: np.random.Generator, data: bytes) -> bytes:
-    at, size = _place(rng, data), _length(rng, data)
-    return data[: at + size] + data[at : at + size] * int(rng.choice([1, 1, 2, 50])) + data[at + size :]
-
-
-def _truncate(rng: np.random.Generator, data: bytes) -> bytes:
-    return data[: _place(rng, data)]
-
-
-def _move(rng: np.random.Generator, data: bytes) -> bytes:
-    at, to, size = _place(rng, data), _place(rng, data), _length(rng, data)
-    return data[:to] + data[at : at + size] + data[to + size :]
-
-
-def _enlarge(rng: np.random.Generator, data: bytes) -> bytes:
-    """Put a length nothing has where a field of 2, 4 or 8 bytes may be."""
-    size = int(rng.choice([2, 4, 8]))
-    at = _place(rng, data) // size * size
-    number = int(SIZES[int(rng.integers(0, len(SIZES)))]) % 256**size
-    order = "little" if rng.random() < 0.7 else "big"
-    return (data[:at] + number.to_bytes(size, order) + data[at + size :])[: max(len(data), 1)]
+def _byte_changed(rng: np.random.Generator, data: bytes) -> bytes:
+    """Return a content with some of its bytes changed, in one of eight ways."""
+    at, to, end = _place(rng, data), _place(rng, data), max(len(data), 1)
+    size = int(min(2 ** rng.uniform(0, 10), len(data)))
+    piece = data[at : at + size]
+    flipped = bytearray(data)
+    for _ in range(int(rng.integers(1, 4)) if data else 0):
+        flipped[_place(rng, data)] ^= 1 << int(rng.integers(0, 8))
+    few = _one_of(rng, (1, 1, 2, 4, 8, 64))
+    fresh = rng.bytes(few) if rng.random() < 0.3 else bytes([_one_of(rng, BYTES)]) * few
+    # A length that nothing has, where a field of 2, 4 or 8 bytes may be.
+    width = _one_of(rng, (2, 4, 8))
+    field, order = at // width * width, "little" if rng.random() < 0.7 else "big"
+    length = (_one_of(rng, SIZES) % 256**width).to_bytes(width, order)
+    changes = (
+        bytes(flipped),
+        (data[:at] + fresh + data[at + few :])[:end],
+        (data[:field] + length + data[field + width :])[:end],
+        data[:at] + rng.bytes(size) + data[at:],
+        data[:at] + data[at + size :],
+        data[: at + size] + piece * _one_of(rng, (1, 1, 2, 50)) + data[at + size :],
+        data[:at],
+        data[:to] + piece + data[to + size :],
+    )
+    return _one_of(rng, (*changes[:3], *changes))
 
 
 def _worded(rng: np.random.Generator, data: bytes) -> bytes:
@@ -745,8 +704,7 @@ def _worded(rng: np.random.Generator, data: bytes) -> bytes:
     words = list(WORD.finditer(text))
     if not words:
         return data
-    match = words[int(rng.integers(0, len(words)))]
-    word = WORDS[int(rng.integers(0, len(WORDS)))]
+    match, word = _one_of(rng, words), _one_of(rng, WORDS)
     return (text[: match.start()] + word + text[match.end() :]).encode(
         "utf-8" if "\ufeff" in word else "latin-1", "replace"
     )
@@ -754,7 +712,7 @@ def _worded(rng: np.random.Generator, data: bytes) -> bytes:
 
 def _separated(rng: np.random.Generator, data: bytes) -> bytes:
     marks = (b",", b";", b"\t", b" ", b"|", b".", b"\n", b"\r\n", b'"', b"=", b"[", b":")
-    one, other = (marks[int(rng.integers(0, len(marks)))] for _ in range(2))
+    one, other = _one_of(rng, marks), _one_of(rng, marks)
     return data.replace(one, other, -1 if rng.random() < 0.5 else 1)
 
 
@@ -773,26 +731,21 @@ def _lined(rng: np.random.Generator, data: bytes) -> bytes:
     return b"\n".join(lines)
 
 
-BYTE_CHANGES: tuple[Change, ...] = (
-    *(_flip, _flip, _overwrite, _overwrite, _insert, _delete, _duplicate, _truncate, _move),
-    *(_enlarge, _enlarge),
-)
 TEXT_CHANGES: tuple[Change, ...] = (_worded, _worded, _worded, _separated, _lined)
 
 
 def changed(rng: np.random.Generator, seed: Seed, every: list[Seed]) -> Files:
     """Return the files of a seed with one of them changed, once or a few times."""
     if seed.changes and (not seed.changed or rng.random() < 0.5):
-        return seed.changes[int(rng.integers(0, len(seed.changes)))](rng, seed.files)
-    name = seed.changed[int(rng.integers(0, len(seed.changed)))]
+        return _one_of(rng, seed.changes)(rng, seed.files)
+    name = _one_of(rng, seed.changed)
     data = seed.files[name]
     if rng.random() < 0.04:
-        other = every[int(rng.integers(0, len(every)))]
-        foreign = other.files[next(iter(other.files))]
+        foreign = next(iter(_one_of(rng, every).files.values()))
         return {**seed.files, name: data[: _place(rng, data)] + foreign[_place(rng, foreign) :]}
-    ways = BYTE_CHANGES if not seed.text or rng.random() < 0.3 else TEXT_CHANGES
+    ways = (_byte_changed,) if not seed.text or rng.random() < 0.3 else TEXT_CHANGES
     for _ in range(1 + min(int(rng.geometric(0.6)) - 1, 5)):
-        data = ways[int(rng.integers(0, len(ways)))](rng, data)
+        data = _one_of(rng, ways)(rng, data)
     return {**seed.files, name: data}
 
 
@@ -805,32 +758,26 @@ VALUES: tuple[Any, ...] = (
 )
 
 
-def _nested(depth: int) -> object:
-    value: object = []
-    for _ in range(depth):
-        value = [value]
-    return value
-
-
 def _node_changed(rng: np.random.Generator, content: object) -> object:
     """Return a tree of settings with one thing in it changed: a value, a key, or one more of them."""
     if isinstance(content, dict) and content and rng.random() < 0.85:
-        keys = list(content)
-        key = keys[int(rng.integers(0, len(keys)))]
-        way = rng.random()
+        key, way = _one_of(rng, list(content)), rng.random()
         if way < 0.7:
             return {**content, key: _node_changed(rng, content[key])}
         if way < 0.8:
             return {other: value for other, value in content.items() if other != key}
         if way < 0.9:
             return {(f"{key}s" if other == key else other): value for other, value in content.items()}
-        return {**content, keys[int(rng.integers(0, len(keys)))]: content[key], "another": content[key]}
+        return {**content, _one_of(rng, list(content)): content[key], "another": content[key]}
     if isinstance(content, list) and content and rng.random() < 0.7:
         at = int(rng.integers(0, len(content)))
         return [*content[:at], _node_changed(rng, content[at]), *content[at + 1 :]]
     if rng.random() < 0.03:
-        return _nested(int(rng.choice([20, 200, 3000])))
-    return VALUES[int(rng.integers(0, len(VALUES)))]
+        nested: object = []
+        for _ in range(_one_of(rng, (20, 200, 3000))):
+            nested = [nested]
+        return nested
+    return _one_of(rng, VALUES)
 
 
 def as_toml(value: object) -> str:
@@ -891,8 +838,8 @@ def resealed(files: Mapping[str, bytes], content: Mapping[str, Any], name: str =
 
 def _resealed(rng: np.random.Generator, files: Files) -> Files:
     """Return a model folder with something in it changed, and all its digests put right."""
-    described = [name for name in DESCRIBED if name in files]
-    return _described_changed(rng, files, described[int(rng.random() < 0.25) % len(described)])
+    name = "rivals.json" if "rivals.json" in files and rng.random() < 0.25 else "model.json"
+    return _described_changed(rng, files, name)
 
 
 def _rivals_resealed(rng: np.random.Generator, files: Files) -> Files:
@@ -905,9 +852,9 @@ def _described_changed(rng: np.random.Generator, files: Files, name: str, share:
     data = dict(files)
     content = json.loads(files[name])
     if rng.random() < share:
-        beside = DESCRIBED[name][int(rng.integers(0, len(DESCRIBED[name])))]
-        ways = (*BYTE_CHANGES, *(_array_changed,) * 20) if beside.endswith("tensors") else BYTE_CHANGES
-        data[beside] = ways[int(rng.integers(0, len(ways)))](rng, data[beside])
+        beside = _one_of(rng, DESCRIBED[name])
+        is_array = beside.endswith("tensors") and rng.random() < 0.65
+        data[beside] = (_array_changed if is_array else _byte_changed)(rng, data[beside])
     else:
         content = _node_changed(rng, content)
     try:
@@ -933,7 +880,7 @@ def _piece_resealed(rng: np.random.Generator, files: Files) -> Files:
     (name,) = files
     with np.load(io.BytesIO(files[name][DIGEST_LENGTH:])) as archive:
         arrays = dict(archive)
-    changed = sorted(arrays)[int(rng.integers(0, len(arrays)))]
+    changed = _one_of(rng, sorted(arrays))
     kinds = (np.float64, np.int64, np.complex128, np.dtype("U3"), np.dtype("M8[s]"), np.dtype("O"), np.bool_)
     way = int(rng.integers(0, 4))
     if way == 0:
@@ -943,12 +890,12 @@ def _piece_resealed(rng: np.random.Generator, files: Files) -> Files:
     elif way == 2:
         arrays[changed] = np.full(arrays[changed].shape, rng.choice(NUMBERS))
     else:
-        arrays[changed] = np.zeros(arrays[changed].shape, kinds[int(rng.integers(0, len(kinds)))])
+        arrays[changed] = np.zeros(arrays[changed].shape, _one_of(rng, kinds))
     made = io.BytesIO()
     (np.savez_compressed if rng.random() < 0.1 else np.savez)(made, **arrays)
     data = made.getvalue()
     if rng.random() < 0.2:
-        data = BYTE_CHANGES[int(rng.integers(0, len(BYTE_CHANGES)))](rng, data)
+        data = _byte_changed(rng, data)
     return {name: digest(data).encode() + data}
 
 
@@ -968,12 +915,12 @@ NUMBERS = (math.nan, math.inf, -math.inf, 0.0, -1.0, 1.0, 1e-300, 1e6, 1e30, 1e3
 def _array_changed(rng: np.random.Generator, data: bytes) -> bytes:
     """Return tensors with one of them changed: a number, the shape, the type, the name."""
     tensors = load_tensors(data)
-    name = sorted(tensors)[int(rng.integers(0, len(tensors)))]
+    name = _one_of(rng, sorted(tensors))
     values = tensors[name].copy()
     way = int(rng.integers(0, 8))
     if way < 5 and values.size:
         with np.errstate(all="ignore"):
-            number = np.asarray(NUMBERS[int(rng.integers(0, len(NUMBERS)))]).astype(values.dtype)
+            number = np.asarray(_one_of(rng, NUMBERS)).astype(values.dtype)
         if way == 0:
             values[...] = number
         else:

@@ -187,7 +187,7 @@ def hitch(structure="integrator", *, modes=(LIFTING, LOWERING), provenance=None,
 def hitch_of(*channels, step_s=STEP_S, drift=0.0):
     """Return a model of given channels, in mm, A and bar."""
     units = {**UNITS, "pressure": "bar"}
-    return Hitch({each.direction: each for each in channels}, step_s, units, drift=drift)
+    return Hitch({own.direction: own for own in channels}, step_s, units, drift=drift)
 
 
 NOISE, FASTER, Q = 0.05, 1.1, (0.5, 1.0, 1.5, 2.0)
@@ -199,10 +199,10 @@ SPREAD = PredictionSpread(
 
 def with_bands(model, *modes):
     """Return a model with bands for some modes; as alternative a gain a tenth larger."""
-    known = {}
+    uncertainty = {}
     for mode in modes:
         gain, *rest = map(float, model.channels[mode].benchmark.parameter_vector)
         faster = EnsembleMember((FASTER * gain, *rest))
         bands = Bands((faster,), NOISE, (0.5, 0.8, 0.9, 0.95), Q, SPREAD, (4, 4))
-        known[mode] = Uncertainty(Estimates((), (), (), 0, 0), bands=bands)
-    return replace(model, uncertainty=known)
+        uncertainty[mode] = Uncertainty(Estimates((), (), (), 0, 0), bands=bands)
+    return replace(model, uncertainty=uncertainty)

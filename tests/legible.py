@@ -6,7 +6,7 @@ from itertools import combinations
 def shared_label(axes, direction):
     """Return the label of one direction of an axes, its own or that of the axes it shares it with."""
     shared = axes.get_shared_x_axes() if direction == "x" else axes.get_shared_y_axes()
-    labels = [getattr(each, f"get_{direction}label")() for each in (axes, *shared.get_siblings(axes))]
+    labels = [getattr(one, f"get_{direction}label")() for one in (axes, *shared.get_siblings(axes))]
     return next((label for label in labels if label), "")
 
 

@@ -31,8 +31,8 @@ def record(name="up", *, direction=LIFTING, samples=300, seed=0):
     sign = 1 if direction == LIFTING else -1
     noise = 0.01 * np.random.default_rng(seed).standard_normal(samples)
     signals = {"displacement": 100 + 0.1 * sign * np.cumsum(command) + noise}
-    for each in (LIFTING, LOWERING):
-        signals[f"{each}_command"] = command if each == direction else 0 * command
+    for own in (LIFTING, LOWERING):
+        signals[f"{own}_command"] = command if own == direction else 0 * command
     return Record(name, STEP_S, signals, handmade.UNITS)
 
 
@@ -51,7 +51,7 @@ def predictions(models=("benchmark", "free_run", "one_step"), sizes=(300, 250, 2
     """Return tests of a sine with random walks around them as predictions."""
     rng = np.random.default_rng(0)
     time_s = tuple(STEP_S * np.arange(size) for size in sizes)
-    actual = tuple(100 + 40 * np.sin(each) for each in time_s)
+    actual = tuple(100 + 40 * np.sin(times) for times in time_s)
     runs = {name: tuple(y + 0.1 * rng.standard_normal(y.size).cumsum() for y in actual) for name in models}
     middle = runs["free_run"] if band and "free_run" in runs else None
     ends = None if middle is None else tuple(tuple(y + side for y in middle) for side in (-2.0, 2.0))
@@ -62,9 +62,9 @@ def residuals():
     """Return tests of errors that depend on the command."""
     rng = np.random.default_rng(0)
     command = [np.repeat(rng.uniform(0, 0.5, 12), 25)]
-    errors = [0.1 * rng.standard_normal(each.size) + 0.3 * each for each in command]
-    places = [100 + np.cumsum(each) for each in command]
-    return residual_tests(errors, command, places, [each / STEP_S for each in command], step_s=STEP_S)
+    errors = [0.1 * rng.standard_normal(signal.size) + 0.3 * signal for signal in command]
+    places = [100 + np.cumsum(signal) for signal in command]
+    return residual_tests(errors, command, places, [signal / STEP_S for signal in command], step_s=STEP_S)
 
 
 def validation(tests=None, *, diverged=False):
@@ -83,9 +83,9 @@ def comparison():
 def characteristics(load=None):
     """Return operating characteristics at three levels; the upper end of the last speed is open."""
     points = tuple(
-        SpeedPoint.of(level, place, speed, (0.9 * speed, None if level == 0.8 else 1.1 * speed), 30.0)
+        SpeedPoint.of(level, pressure, speed, (0.9 * speed, None if level == 0.8 else 1.1 * speed), 30.0)
         for level in (0.4, 0.6, 0.8)
-        for place in ((None,) if load is None else (90.0, 120.0))
+        for pressure in ((None,) if load is None else (90.0, 120.0))
         for speed in (50.0 * (level - 0.3),)
     )
     zone = Quantity("dead zone", "A", 0.3, (0.29, 0.31), True)
@@ -110,7 +110,7 @@ def estimates(benchmark):
 
 def estimate(name, value, *, error=None, **options):
     """Return the estimate of a parameter, to 5 % unless said otherwise."""
-    known = {"lower": value / 100, "upper": value * 100, "linear": False} | options
+    bounds = {"lower": value / 100, "upper": value * 100, "linear": False} | options
     return Estimate(
         name=name,
         symbol=name,
@@ -123,18 +123,18 @@ def estimate(name, value, *, error=None, **options):
         determined=True,
         verdict="determined",
         sensitivity=0.1,
-        **known,
+        **bounds,
     )
 
 
 def hitch(structure="integrator-second-order", **options):
     """Return a model of both directions with estimates and speed maps."""
     model = handmade.hitch(structure, dead_time_s=0.03, **options)
-    known = {
+    uncertainty = {
         direction: Uncertainty(
             estimates(channel.benchmark),
             characteristics=characteristics(None if direction == LIFTING else "pressure"),
         )
         for direction, channel in model.channels.items()
     }
-    return replace(model, uncertainty=known)
+    return replace(model, uncertainty=uncertainty)

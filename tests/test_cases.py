@@ -206,7 +206,7 @@ def test_of_two_rows_with_one_stamp_the_last_counts(case, inspected):
 def test_a_thousands_separator_is_refused_in_whatever_row(case):
     inspection = inspect(case("thousands-after-200-rows"))
     assert not inspection.records
-    assert all("ambiguous: a decimal comma or a thousands separator" in each for each in inspection.faults)
+    assert all("ambiguous: a decimal comma or a thousands separator" in fault for fault in inspection.faults)
 
 
 # --- what is found ------------------------------------------------------------------------------------------

@@ -471,10 +471,10 @@ ROWS = [
 @pytest.mark.parametrize(("path", "value"), ROWS, ids=[f"{path}={str(value)[:20]}" for path, value in ROWS])
 def test_a_forged_row_of_a_fleet_is_refused_by_key(every, tmp_path, path, value):
     content = json.loads(files_of(every, "fleet row")["row.json"]) | {"key": "0f" * 8}
-    place = tmp_path / "rows" / content["machine"] / f"{content['signature']}.json"
+    file = tmp_path / "rows" / content["machine"] / f"{content['signature']}.json"
     put_in(content, path, value)
-    place.parent.mkdir(parents=True)
-    place.write_text(json.dumps(content))
+    file.parent.mkdir(parents=True)
+    file.write_text(json.dumps(content))
     store = Store(str(tmp_path))
     said = {"signature": "its own place", "notices": "1 MiB"}.get(path, path.rpartition("/")[2])
     with pytest.raises(InputError, match=said):

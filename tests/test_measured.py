@@ -22,9 +22,9 @@ def test_the_lag_of_the_papers_lowering_model_is_open(data):
     campaign = replace(whole, records=(*whole.of_kind(LOWERING), *whole.ramps(LOWERING)))
     model = identify(campaign, structure=PAPER_SPECS, training=None, rivals=None).model
     result = validate(model, campaign)
-    known = result.metrics["channels"]["lowering"]["parameters"]["estimates"]
-    lag = known["time_constant"]
-    assert known["gain"]["determined"]
+    estimates = result.metrics["channels"]["lowering"]["parameters"]["estimates"]
+    lag = estimates["time_constant"]
+    assert estimates["gain"]["determined"]
     assert not lag["determined"]
     # Ten seconds tell a lag from an integrator if it is no longer than some ten times that.
     assert lag["interval_95"][0] > 100.0

@@ -1,13 +1,15 @@
-"""What users call from Python, in a process of its own: without x64 switched on, and with wrong arguments."""
+"""What users call from Python: logs in every form, without x64 switched on, with wrong arguments."""
 
 import json
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 import handmade
 import hitchid
+from hitchid.identification.config import DEFAULT_STRUCTURES, SEARCHES, IdentificationConfig
 from hitchid.model import save
 
 CHILD = """
@@ -310,3 +312,62 @@ def test_an_unknown_name_is_answered_by_those_there_are(whole, known):
 def test_what_does_not_fit_is_refused_where_it_enters(surface):
     assert [(word, said) for word, said in surface["said"] if word not in said or "Traceback" in said] == []
     assert not surface["left"]
+
+
+# --- one log in every form in which a user has it -----------------------------------------------------------
+
+
+@pytest.fixture
+def log(bench_folder):
+    """Return the path of a lifting log."""
+    return bench_folder / "lifting-01.csv"
+
+
+def test_a_record_gives_its_signals_by_name(log):
+    (record,) = hitchid.read(log)
+    assert "displacement" in record
+    assert "pressure" not in record
+    np.testing.assert_array_equal(record["displacement"], record.displacement)
+    with pytest.raises(TypeError, match="not iterable"):
+        iter(record)
+
+
+def test_tables_and_records_are_read_as_files_are(log):
+    campaign = hitchid.read(log)
+    (record,) = campaign
+    frame = record.to_dataframe()
+    for given in (frame, {"lifting-01": frame}, [frame], record, [record], campaign):
+        (read,) = hitchid.read(given)
+        np.testing.assert_array_equal(read.displacement, record.displacement)
+        assert (read.kind, read.step_s) == (record.kind, record.step_s)
+
+
+def test_a_log_is_simulated_from_its_path_and_its_table(log):
+    (record,) = hitchid.read(log)
+    model = handmade.hitch()
+    run = model.simulate(record)
+    for given in (record.to_dataframe(), log, str(log)):
+        np.testing.assert_array_equal(model.simulate(given).displacement, run.displacement)
+        np.testing.assert_array_equal(model.predict(given, horizon=5), model.predict(record, horizon=5))
+
+
+def test_a_simulation_is_drawn_over_its_commands(log):
+    (record,) = hitchid.read(log)
+    run = handmade.hitch().simulate(record)
+    displacement, commands = run.plot()
+    (curve,) = displacement.get_lines()
+    np.testing.assert_array_equal(curve.get_ydata(), run.displacement)
+    drawn = {line.get_label(): line.get_ydata() for line in commands.get_lines()}
+    np.testing.assert_array_equal(drawn["lifting command"], record["lifting_command"])
+
+
+def test_structures_and_searches_have_names():
+    for name, search in SEARCHES.items():
+        assert IdentificationConfig.of(search=name).search == search
+    both = IdentificationConfig.of(structure="integrator").specs
+    assert {spec.structure.name for spec in both.values()} == {"integrator"}
+    assert IdentificationConfig.of(structure="automatic").specs == DEFAULT_STRUCTURES
+
+
+def test_packages_come_with_the_first_import():
+    assert hitchid.export.to_c.__module__ == "hitchid.export.c99"

@@ -81,10 +81,10 @@ def test_the_wheel_holds_the_package_and_nothing_else(wheel):
 @pytest.fixture(scope="module")
 def pythons():
     """Return the oldest and the newest Python found here."""
-    found = [python for version in VERSIONS if (python := find_python(version)) is not None]
-    if len(found) < 2:
-        pytest.skip(f"needs two of Python {', '.join(VERSIONS)}; found {len(found)}")
-    return {"oldest": found[0], "newest": found[-1]}
+    pythons = [python for version in VERSIONS if (python := find_python(version)) is not None]
+    if len(pythons) < 2:
+        pytest.skip(f"needs two of Python {', '.join(VERSIONS)}; found {len(pythons)}")
+    return {"oldest": pythons[0], "newest": pythons[-1]}
 
 
 @pytest.mark.parametrize("age", ["oldest", "newest"])

@@ -22,13 +22,6 @@ from hitchid._support.progress_display import BLOCKS, WIDTH, Curves, progress, s
 fractions = st.floats(0, 1)
 
 
-@given(fractions, fractions, fractions)
-def test_a_part_never_leaves_its_place_in_the_whole(start, width, done):
-    updates = []
-    subtask_progress(updates.append, start, width)(ProgressUpdate("stage", done))
-    assert start <= updates[0].fraction <= start + width
-
-
 def test_parts_of_parts_are_named_from_the_outside_in():
     updates = []
     inner = subtask_progress(subtask_progress(updates.append, 0.5, 0.5, "lifting"), 0.2, 0.4)

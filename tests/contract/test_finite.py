@@ -20,7 +20,7 @@ WIDEST = ModelSpec(
     stroke_gain_quadratic=True,
     covariates=(CovariateEffects("p", dynamics=True, quadratic=True),),
 )
-PLAIN = [ModelSpec(each, dead_time=True) for each in BUILT_IN if isinstance(each, LinearStructure)]
+PLAIN = [ModelSpec(own, dead_time=True) for own in BUILT_IN if isinstance(own, LinearStructure)]
 # A nonlinear structure is integrated step by step, on clocks of the plants it is for.
 CLOCKS = {"inertia-with-friction": (1e-3,), "cascaded-tanks": (4.0,)}
 CASES = [

@@ -3,7 +3,6 @@
 import gzip
 import struct
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from hitchid.errors import InputError, LogError
 from hitchid.logs import find_logs, format_of, write_table
 from hitchid.logs.content import ChannelSelection
 from hitchid.logs.formats import BUILT_IN, record_name
-from hitchid.validation import validate
 
 SAMPLES = 60
 RNG = np.random.default_rng(7)
@@ -338,13 +336,3 @@ def test_one_campaign_is_the_same_from_every_format(bench, tmp_path, ending, wri
         assert (other.step_s, other.kind, dict(other.units)) == (one.step_s, one.kind, dict(one.units))
         for role, samples in one.signals.items():
             assert other.signals[role].tobytes() == samples.tobytes()
-
-
-def test_metrics_are_the_same_in_another_format(bench, identified, tmp_path):
-    campaign, model = hitchid.read(bench), hitchid.load(identified / "model")
-    again = in_another_format(campaign, tmp_path / "logs", ".parquet", write_table)
-    assert validate(model, again).metrics == validate(model, campaign).metrics
-    assert {record.fingerprint for record in again.records} >= model.provenance.seen
-    seen = tuple(record for record in again.records if record.fingerprint in model.provenance.seen)
-    with pytest.raises(InputError, match="used for identification"):
-        validate(model, replace(again, records=seen))

@@ -4,16 +4,15 @@ import csv
 import json
 from xml.etree import ElementTree
 
-import numpy as np
 import pytest
 
 import handmade
+import plotted
 from hitchid.errors import InputError, OutputError
 from hitchid.logs.campaign import Campaign
-from hitchid.logs.record import LIFTING, Record
+from hitchid.logs.record import LIFTING
 from hitchid.report import registered_renderers, render
 from hitchid.validation import validate
-from truth import STEP_S
 
 BUILT_IN = ["html", "interactive", "pdf", "markdown", "terminal", "junit", "json", "xlsx"]
 
@@ -27,22 +26,10 @@ def installed(install):
 
 
 @pytest.fixture(scope="module")
-def result(module_record):
-    return validate(handmade.hitch("integrator", modes=(LIFTING,)), Campaign.of(module_record))
-
-
-@pytest.fixture(scope="module")
-def module_record():
-    """Return two lifting tests of the plant that the model is."""
-    records = []
-    for number, top in enumerate((0.6, 0.8)):
-        command = np.repeat([0.0, top, 0.0, 0.9 * top], 60)
-        speed = handmade.GAINS[LIFTING] * np.maximum(command - handmade.DEAD_ZONES[LIFTING], 0)
-        displacement = 100 + STEP_S * np.concatenate([[0.0], np.cumsum(speed)[:-1]])
-        signals = {"displacement": displacement, "lifting_command": command}
-        units = {"displacement": "mm", "lifting_command": "A"}
-        records.append(Record(f"lifting-{number}", STEP_S, signals, units))
-    return records
+def result():
+    """Return a validation with two lifting tests."""
+    tests = [plotted.record(f"lifting-{seed}", seed=seed) for seed in range(2)]
+    return validate(handmade.hitch("integrator", modes=(LIFTING,)), Campaign.of(tests))
 
 
 def test_it_stands_beside_those_of_the_package(installed):

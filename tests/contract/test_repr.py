@@ -128,11 +128,11 @@ def model() -> hitchid.Hitch:
     """Return a model with every part."""
     whole = hitch("integrator-second-order", compensated=True, free_run=True, shape=True, baselines=True)
     whole = with_bands(whole, "lifting", "lowering")
-    known = {
+    uncertainty = {
         direction: replace(entry, benchmark=known_estimates(), characteristics=characteristics())
         for direction, entry in whole.uncertainty.items()
     }
-    return replace(whole, uncertainty=known, two_modes=TwoModes(True, 1.0, 0.5, 12))
+    return replace(whole, uncertainty=uncertainty, two_modes=TwoModes(True, 1.0, 0.5, 12))
 
 
 def identification() -> Identification:

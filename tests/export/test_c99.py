@@ -26,9 +26,9 @@ def test_two_exports_are_the_same_bytes(everything, compiler, tmp_path, target) 
     if target is to_onnx:
         pytest.importorskip("onnx")
     contents = []
-    for place in (tmp_path / "a", tmp_path / "b and ü"):
-        target(everything, place)
-        files = sorted(place.iterdir()) if place.is_dir() else [place]
+    for folder in (tmp_path / "a", tmp_path / "b and ü"):
+        target(everything, folder)
+        files = sorted(folder.iterdir()) if folder.is_dir() else [folder]
         contents.append([path.read_bytes() for path in files])
     assert contents[0] == contents[1]
 

@@ -173,8 +173,8 @@ def unit(units, tmp_path):
         return made[-1].start()
 
     yield make
-    for each in made:
-        each.own.freeInstance()
+    for instance in made:
+        instance.own.freeInstance()
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -258,7 +258,7 @@ def test_a_state_that_was_never_saved_is_refused(unit, version: str) -> None:
     never = (math.nan, math.inf, -math.inf, 1e300, -1e300)
     for number, values in (
         *((own.references[name], never) for name in ("mode", "flags", "measurement_valid")),
-        *((last + place, never) for place in (2, 6, 7)),
+        *((last + offset, never) for offset in (2, 6, 7)),
         (last + 5, (math.nan, -1.0, -1e300)),
         (last + 8, (*never, 4.0)),
     ):
@@ -299,13 +299,14 @@ def test_units_and_structure_are_told(units, version: str) -> None:
     assert defined["mm"].get("m") == "1"
     assert float(defined["bar"].get("factor")) == 1e5
     assert defined["A"].get("A") == "1"
-    names = [each.get("name") for each in root.find("ModelVariables")]
+    names = [element.get("name") for element in root.find("ModelVariables")]
     assert names[-4:] == OUTPUTS
     assert "load_pressure" in names
     unknowns = list(root.find("ModelStructure").iter("Unknown")) + list(
         root.find("ModelStructure").iter("Output")
     )
-    assert [each.get("dependencies") for each in unknowns].count("") == len(unknowns) - (version == "fmi2")
+    independent = sum(element.get("dependencies") == "" for element in unknowns)
+    assert independent == len(unknowns) - (version == "fmi2")
 
 
 @pytest.mark.long

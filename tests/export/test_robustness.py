@@ -4,7 +4,6 @@ import ctypes
 import math
 import subprocess
 import sys
-import threading
 from importlib.util import module_from_spec, spec_from_file_location
 
 import numpy as np
@@ -133,23 +132,6 @@ def test_bytes_that_are_no_state_are_refused_and_change_nothing(library) -> None
         with pytest.raises(ValueError, match="not a state"):
             model.load(content)
     assert model.save() == saved
-
-
-def test_two_instances_in_two_threads_are_two(library) -> None:
-    def run(start: float, into: list) -> None:
-        model = library.Model(start)
-        into.extend(model.step(0.7, 0.0, start) for _ in range(5000))
-
-    alone: dict[float, list] = {100.0: [], 120.0: []}
-    for start, into in alone.items():
-        run(start, into)
-    together: dict[float, list] = {100.0: [], 120.0: []}
-    threads = [threading.Thread(target=run, args=item) for item in together.items()]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert together == alone
 
 
 def test_a_state_may_be_copied_byte_by_byte(library) -> None:

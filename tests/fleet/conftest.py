@@ -3,7 +3,13 @@
 import fleets
 import pytest
 
-from hitchid.fleet import Runner, identify_fleet
+from hitchid.fleet import Runner, identify_fleet, random_effects
+
+
+@pytest.fixture
+def without_weights(monkeypatch):
+    """Let no machine lose weight: then the statistics have closed forms."""
+    monkeypatch.setattr(random_effects, "normal_constants", lambda parameters=1: random_effects.PLAIN)
 
 
 @pytest.fixture(scope="session")

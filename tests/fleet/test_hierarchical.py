@@ -18,9 +18,9 @@ def balanced(machines=40):
     return values, np.tile(ERROR, (machines, 1, 1))
 
 
-def test_a_balanced_fleet_has_the_sample_s_covariance():
+def test_a_balanced_fleet_has_the_sample_s_covariance(without_weights):
     values, errors = balanced()
-    hierarchy = fit_hierarchy(values, errors, robust=False)
+    hierarchy = fit_hierarchy(values, errors)
     sample = np.cov(values.T)
     assert hierarchy.mean == pytest.approx(values.mean(axis=0), abs=1e-6)
     assert hierarchy.between == pytest.approx(sample - ERROR, abs=1e-4)

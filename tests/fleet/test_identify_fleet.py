@@ -257,47 +257,29 @@ def test_a_killed_run_goes_on_and_leaves_no_process(logs, results, tmp_path):
     assert fleets.model_digests(own) == fleets.model_digests(results)
 
 
-@pytest.mark.long
-def test_a_model_without_its_row_is_not_taken_for_done(logs, tmp_path, monkeypatch):
-    """The store fails after the model was written, before the row."""
+@pytest.mark.parametrize("limit", [0, 3, 4])
+def test_a_store_that_ends_in_mid_write_loses_nothing(limit, logs, tmp_path, monkeypatch):
+    """A model has four files, and is none without `model.json`, the last; then its row is written."""
     own = job(logs, tmp_path)
     (machine, *_) = machines_of(own.logs)
-    write = Store.write
+    written, write = [], Store.write
 
     def failing(self, name, content):
-        if name.startswith("rows/"):
-            raise StoreError("rows: the connection was lost")
+        if len(written) == limit:
+            raise StoreError("the connection was lost")
+        written.append(name)
         write(self, name, content)
 
     monkeypatch.setattr("hitchid.fleet.task.prepare_worker", lambda: None)
     with monkeypatch.context() as context:
         context.setattr(Store, "write", failing)
         first = run_task(own, machine)
-    assert (first.state, first.message) == (UNFINISHED, "rows: the connection was lost")
+    assert (first.state, first.message) == (UNFINISHED, "the connection was lost")
+    assert len(list(tmp_path.glob("models/*/*/model.json"))) == (limit == 4)
     assert read_rows(own.results) == ()
     second = run_task(own, machine)
     assert (second.state, second.worked) == ("done", True)
     assert [row.machine for row in read_rows(own.results)] == [machine.name]
-
-
-@pytest.mark.parametrize("limit", [0, 3])
-def test_a_store_that_ends_in_mid_write_shows_no_model(limit, logs, tmp_path, monkeypatch):
-    """A folder without `model.json` is no model; it has four files, and that is written last."""
-    own = job(logs, tmp_path)
-    written, write = [], Store.write
-
-    def failing(self, name, content):
-        if len(written) == limit:
-            raise StoreError("the store is full")
-        written.append(name)
-        write(self, name, content)
-
-    monkeypatch.setattr("hitchid.fleet.task.prepare_worker", lambda: None)
-    monkeypatch.setattr("hitchid.fleet.store.Store.write", failing)
-    assert run_task(own, machines_of(own.logs)[0]).state == UNFINISHED
-    assert len(written) == limit
-    assert not list(tmp_path.glob("models/*/*/model.json"))
-    assert read_rows(own.results) == ()
 
 
 def test_rows_are_compacted_and_the_newest_of_each_machine_counts(results):

@@ -12,8 +12,9 @@ from hitchid.errors import InputError
 from hitchid.fleet.random_effects import (
     CLIP,
     LEVEL,
+    PLAIN,
+    adjusted_p_values,
     checked_estimates,
-    constants_of,
     fit_random_effects,
     normal_constants,
     spread_interval,
@@ -24,12 +25,12 @@ NORMAL = np.random.default_rng(0).standard_normal(40)
 ESTIMATES, COVARIANCES = np.zeros((4, 2)), np.tile(np.eye(2), (4, 1, 1))
 
 
-def fit(values, variances, design=None, *, robust=False):
+def fit(values, variances, design=None):
     design = np.ones((len(values), 1)) if design is None else design
-    return fit_random_effects(values, variances, design, np.ones((1, len(values)), bool), robust=robust)
+    return fit_random_effects(values, variances, design, np.ones((1, len(values)), bool))
 
 
-def test_balanced_estimates_have_the_variance_of_the_sample():
+def test_balanced_estimates_have_the_variance_of_the_sample(without_weights):
     effects = fit(5 + 2 * NORMAL, np.full(40, 0.5))
     sample = np.var(5 + 2 * NORMAL, ddof=1)
     assert effects.coefficients[0, 0] == pytest.approx(np.mean(5 + 2 * NORMAL), rel=1e-9)
@@ -44,7 +45,7 @@ def test_a_scatter_below_the_errors_is_no_spread():
     assert spread_interval(0.02 * NORMAL, np.ones(40)) == (0.0, 0.0)
 
 
-def test_two_balanced_groups_have_the_pooled_variance():
+def test_two_balanced_groups_have_the_pooled_variance(without_weights):
     group = np.arange(40) % 2
     design = np.stack([group == 0, group == 1], axis=1).astype(float)
     effects = fit(NORMAL + 10 * group, np.full(40, 0.1), design)
@@ -53,7 +54,7 @@ def test_two_balanced_groups_have_the_pooled_variance():
     assert effects.coefficients[0] == pytest.approx([NORMAL[::2].mean(), 10 + NORMAL[1::2].mean()])
 
 
-def test_unequal_errors_solve_the_restricted_score():
+def test_unequal_errors_solve_the_restricted_score(without_weights):
     fleet = simulated_fleet(np.random.default_rng(1), 60)
     values, variances = fleet.estimates[:, 0], fleet.covariances[:, 0, 0]
     between = fit(values, variances).between[0]
@@ -76,7 +77,7 @@ def test_selections_are_fitted_as_if_alone():
     together = fit_random_effects(values, variances, ones, ~np.eye(30, dtype=bool))
     for left_out in (0, 17, 29):
         others = np.arange(30) != left_out
-        alone = fit(values[others], variances[others], robust=True)
+        alone = fit(values[others], variances[others])
         assert together.between[left_out] == pytest.approx(alone.between[0], rel=1e-6)
         assert together.coefficients[left_out] == pytest.approx(alone.coefficients[0], abs=1e-8)
         assert together.weights[left_out, left_out] == 0.0
@@ -85,7 +86,7 @@ def test_selections_are_fitted_as_if_alone():
 def test_the_robust_variance_is_that_of_a_normal_fleet():
     machines, between = 20_000, 2.0
     fleet = simulated_fleet(np.random.default_rng(3), machines, between=((between,),), errors=(1.0, 1.0))
-    effects = fit(fleet.estimates[:, 0], fleet.covariances[:, 0, 0], robust=True)
+    effects = fit(fleet.estimates[:, 0], fleet.covariances[:, 0, 0])
     error = (between + 1.0) * np.sqrt(2 / machines / normal_constants().efficiency)
     assert abs(effects.between[0] - between) < 4 * error
     assert np.sqrt(effects.between_variance[0]) == pytest.approx(error, rel=0.03)
@@ -93,7 +94,7 @@ def test_the_robust_variance_is_that_of_a_normal_fleet():
 
 def test_an_outlier_counts_the_same_however_far_it_is():
     variances = np.full(40, 0.1)
-    near, far = (fit(np.append(NORMAL[1:], outlier), variances, robust=True) for outlier in (20.0, 2e6))
+    near, far = (fit(np.append(NORMAL[1:], outlier), variances) for outlier in (20.0, 2e6))
     assert far.between[0] == pytest.approx(near.between[0], rel=1e-2)
     # Plain estimates are dragged along: the mean by a fortieth of the distance.
     assert abs(far.coefficients[0, 0] - np.mean(NORMAL[1:])) < 0.1
@@ -103,8 +104,7 @@ def test_an_outlier_counts_the_same_however_far_it_is():
 def test_the_unit_of_a_parameter_does_not_matter(scale, offset, seed):
     fleet = simulated_fleet(np.random.default_rng(seed), 20)
     values, variances = fleet.estimates[:, 0], fleet.covariances[:, 0, 0]
-    one = fit(values, variances, robust=True)
-    other = fit(scale * (values + offset), scale**2 * variances, robust=True)
+    one, other = fit(values, variances), fit(scale * (values + offset), scale**2 * variances)
     assert other.between[0] == pytest.approx(scale**2 * one.between[0], rel=1e-5, abs=1e-7 * scale**2)
     mean = scale * (one.coefficients[0, 0] + offset)
     assert other.coefficients[0, 0] == pytest.approx(mean, abs=1e-6 * scale)
@@ -113,11 +113,11 @@ def test_the_unit_of_a_parameter_does_not_matter(scale, offset, seed):
 # --- the interval of the spread -----------------------------------------------------------------------------
 
 
-def test_equal_errors_have_the_interval_of_a_variance():
+def test_equal_errors_have_the_interval_of_a_variance(without_weights):
     values = 2 * NORMAL
     squares = np.sum((values - values.mean()) ** 2)
     ends = squares / chi2.ppf([(1 + LEVEL) / 2, (1 - LEVEL) / 2], 39) - 0.5
-    interval = spread_interval(values, np.full(40, 0.5), robust=False)
+    interval = spread_interval(values, np.full(40, 0.5))
     assert interval == pytest.approx(tuple(np.sqrt(ends)), rel=1e-6)
 
 
@@ -173,7 +173,20 @@ def test_the_influence_of_an_outlier_is_bounded():
     clip = normal_constants().clip
     squared = np.array([0.0, clip / 2, clip, 10 * clip, 1e12])
     assert weights(squared, clip) * squared == pytest.approx([0.0, clip / 2, clip, clip, clip])
-    assert np.all(weights(squared, constants_of(1, robust=False).clip) == 1.0)
+    assert np.all(weights(squared, PLAIN.clip) == 1.0)
+
+
+# --- many tests at once -------------------------------------------------------------------------------------
+
+
+def test_the_paper_s_example_has_four_discoveries_whatever_is_missing():
+    """Benjamini & Hochberg 1995, section 3.2: of 15 tests four are discoveries at a rate of 0.05."""
+    small = [0.0001, 0.0004, 0.0019, 0.0095, 0.0201, 0.0278, 0.0298, 0.0344, 0.0459]
+    p_values = np.array([*small, 0.324, 0.4262, 0.5719, 0.6528, 0.759, 1.0, np.nan])
+    adjusted = adjusted_p_values(p_values.reshape(4, 4)).ravel()
+    assert np.flatnonzero(adjusted <= 0.05).tolist() == [0, 1, 2, 3]
+    np.testing.assert_allclose(adjusted[[3, 14, 15]], [15 * 0.0095 / 4, 1.0, np.nan], rtol=1e-12)
+    assert np.isnan(adjusted_p_values(np.full(3, np.nan))).all()
 
 
 # --- estimates that cannot be used --------------------------------------------------------------------------

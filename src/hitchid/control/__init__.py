@@ -16,8 +16,6 @@ from hitchid.control.drive import drive as drive
 from hitchid.control.files import ControllerFile as ControllerFile
 from hitchid.control.files import load_controller as load_controller
 from hitchid.control.files import save_controller as save_controller
-from hitchid.control.limitation import Limitation as Limitation
-from hitchid.control.limitation import limitation as limitation
 from hitchid.control.loops import DirectionMargins as DirectionMargins
 from hitchid.control.loops import Margins as Margins
 from hitchid.control.loops import margins as margins
@@ -27,41 +25,9 @@ from hitchid.control.scenarios import PidController as PidController
 from hitchid.control.scenarios import Scenario as Scenario
 from hitchid.control.scenarios import baselines as baselines
 from hitchid.control.scenarios import scenarios as scenarios
+from hitchid.control.tuning import Limitation as Limitation
 from hitchid.control.tuning import OpenLoop as OpenLoop
 from hitchid.control.tuning import TrialRun as TrialRun
 from hitchid.control.tuning import Tuning as Tuning
+from hitchid.control.tuning import limitation as limitation
 from hitchid.control.tuning import tune as tune
-
-__all__ = [
-    "ClosedLoops",
-    "ControllerFile",
-    "ControllerState",
-    "DirectionMargins",
-    "Drive",
-    "Figures",
-    "Gains",
-    "HitchController",
-    "HoldWindow",
-    "Kind",
-    "Limitation",
-    "Margins",
-    "ModelPlant",
-    "OpenLoop",
-    "PidController",
-    "Plant",
-    "PositionController",
-    "Scenario",
-    "Surroundings",
-    "TrialRun",
-    "Tuning",
-    "baselines",
-    "drive",
-    "limitation",
-    "load_controller",
-    "margins",
-    "run_closed_loops",
-    "run_plant_loops",
-    "save_controller",
-    "scenarios",
-    "tune",
-]

@@ -59,11 +59,12 @@ class Axis(eqx.Module):
         cls, benchmark: PhysicalModel, *, sign: int, dead_zone: float, step_s: float, largest_command: float
     ) -> "Axis":
         """Return the axis of a physical model of a linear structure with an integrator, at its mean load."""
+        # Without its dead time, which `increments` keeps: a Smith predictor runs on what is under way.
         identified = undelayed(benchmark)
         model = DiscretePhysicalModel.of(
             identified.at_load(identified.mean_load),
             dead_zone=dead_zone,
-            min_command=0.0,
+            min_command=0.0,  # the controller's own commands: no noise of a log is to be passed over
             sign=sign,
             step_s=step_s,
         )
@@ -136,6 +137,7 @@ class Axis(eqx.Module):
 
     def under_way(self, state: AxisState) -> Scalar:
         """Return the travel that was caused but is not measured yet, that of the last dead time."""
+        # Of a dead time of 6.4 samples six count fully and one by 0.4.
         shares = jnp.clip(self.dead_time_samples - jnp.arange(self.buffer), 0.0, 1.0)
         return jnp.sum(shares * state.increments)
 
@@ -159,6 +161,7 @@ class Axis(eqx.Module):
             speed: size of the speed.
             displacement: of the piston.
         """
+        # Where more is wanted, the largest current: an inverse beyond the reachable speed would be none.
         reachable = jnp.minimum(speed, REACHABLE * self.fastest(displacement))
         current = command_for_speed(self.model.benchmark, reachable[None], self.model.dead_zone, displacement)
         return jnp.clip(current[0], 0.0, self.largest_command)

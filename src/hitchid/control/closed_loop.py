@@ -162,6 +162,7 @@ def run_closed_loops(
     keys = jax.random.split(key, factors.size)
 
     def at_rest(own: PRNGKeyArray, factor: Array) -> tuple[bench.BenchState, bench.Measurement]:
+        # Held in the soil if the run begins there: a jump of the force would move it in the first sample.
         force = _soil_n(first, jnp.asarray(start_mm))
         disturbance = Disturbance(load_force_n=force, sensor_lost=first.sensor_lost)
         here = _rig_at(rig, factor, first)
@@ -223,6 +224,7 @@ def in_chunks(run: Callable[[Any, Any], tuple[Any, Any]], carry: Any, inputs: An
     Chunk by chunk, so that runs of any length share one compiled program.
     """
     samples = len(jax.tree.leaves(inputs)[0])
+    # The last sample is held to the end of the last chunk, and cut off again below.
     padded = jax.tree.map(lambda rows: np.pad(rows, (0, -samples % CHUNK), mode="edge"), inputs)
     chunks = []
     for begin in range(0, samples, CHUNK):
@@ -351,6 +353,7 @@ def _run_plain(
 
 
 def _two_currents(currents: object) -> Float[np.ndarray, "2"]:
+    # A user's own controller: what it returns by mistake would be broadcast to both valves.
     try:
         values = np.asarray(currents, dtype=float)
     except (TypeError, ValueError):

@@ -70,12 +70,13 @@ class ReferenceLimits(eqx.Module):
         distance = target - reference.position
         upward = distance > 0
         braking = jnp.where(upward, *self.deceleration)
+        # Of a continuous v = √(2 a e) the samples would come too late by half of one, and pass the target.
         half = 0.5 * braking * step_s
         closing = jnp.minimum(
             jnp.sqrt(half**2 + 2 * braking * jnp.abs(distance)) - half, jnp.abs(distance) / step_s
         )
         speed = target_speed + jnp.sign(distance) * closing
-        within = [jnp.clip(each, -self.speed[1], self.speed[0]) for each in (reference.speed, speed)]
+        within = [jnp.clip(size, -self.speed[1], self.speed[0]) for size in (reference.speed, speed)]
         # A reference that stops decelerates as the direction can in which it moved.
         limit = jnp.where(jnp.where(speed == 0, reference.speed, speed) > 0, *self.deceleration)
         acceleration = jnp.clip((within[1] - within[0]) / step_s, -limit, limit)
@@ -245,9 +246,9 @@ class HitchController(eqx.Module):
         Raises:
             InputError: the model has no such covariate.
         """
-        known = {name for axis in self.axes for name in axis.covariates}
+        covariates = {name for axis in self.axes for name in axis.covariates}
         for name in load:
-            checks.one_of(name, known, "load")
+            checks.one_of(name, covariates, "load")
         axes = tuple(axis.at_load(load) for axis in self.axes)
         lags_s = jnp.asarray([axis.lags[0] for axis in axes])
         return eqx.tree_at(lambda controller: (controller.axes, controller.lags_s), self, (axes, lags_s))
@@ -319,6 +320,7 @@ def _step(
 def _target_speed(state: ControllerState, target: Scalar, limits: ReferenceLimits, step_s: float) -> Scalar:
     """Return the smoothed speed of a moving target; zero after a jump that is faster than the hitch."""
     change = (target - state.target) / step_s
+    # A lever that is thrown is a step, not a ramp: led by its speed, the hitch would pass it.
     is_reachable = (change <= limits.speed[0]) & (change >= -limits.speed[1])
     share = step_s / TARGET_SPEED_S
     smoothed = state.target_speed + share * (change - state.target_speed)
@@ -345,6 +347,7 @@ def _is_near(
     hold = controller.hold
     coasting = speed * jnp.where(speed > 0, *controller.lags_s)
     error = jnp.abs(target - smoothed - coasting)
+    # The reference first: a hitch that passes the target on its way does not hold there.
     arrived = jnp.abs(reference.position - target) < hold.inner
     landing = jnp.where(stops, hold.outer, hold.inner)
     window = jnp.where(state.is_holding, state.widening * hold.outer, landing)
@@ -385,6 +388,7 @@ def _wanted_speed(
         + gains.acceleration * (reference.acceleration - acceleration)
     )
     wanted = direct + integrated
+    # At its limit the integral stops (no windup); it may shrink, where error and wanted speed differ in sign.
     lifting, lowering = (axis.fastest(position) for axis in controller.axes)
     beyond = jnp.abs(wanted - jnp.clip(wanted, -lowering, lifting))
     limited = (beyond > 0) & (wanted * error > 0)

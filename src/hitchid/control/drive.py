@@ -75,6 +75,7 @@ class Figures(NamedTuple):
         errors = (loops.displacement - scenario.target)[:, scenario.begin :]
         final = loops.measured[:, -round(FINAL_S / SAMPLE_S) :] - scenario.target[-1]
         on = loops.commands > ON_A
+        # Openings of either valve; a closing follows each.
         opened = np.sum(np.diff(on.astype(int), axis=1) > 0, axis=(1, 2))
         overshoot = None
         if scenario.amplitude:
@@ -103,6 +104,7 @@ def iae_ratios(
     """
     ratios = {}
     for kind in (Kind.STEP, Kind.RAMP, Kind.SINE):
+        # Geometric: half and twice the IAE of a rival cancel out.
         logs = [np.log(figures[name].iae / baseline[name].iae) for name, own in kinds.items() if own is kind]
         ratios[kind.value] = float(np.exp(np.mean(logs)))
     return {"all": float(np.exp(np.mean(np.log(list(ratios.values()))))), **ratios}
@@ -289,8 +291,8 @@ def drive(
     bands, times_s = {}, {}
     if isinstance(rig, Rig):
         todo, units = scenarios(rig, slowest(500 * float(rig.cylinder.stroke))), ("mm", "A")
-        if model is not None:
-            bands = _bands(controller, rig, model, load, todo, seed, progress)
+        # Before the runs: a band that has seen them would be no prediction.
+        bands = {} if model is None else _bands(controller, rig, model, load, todo, seed, progress)
         largest = np.array([axis.largest_command for axis in controller.axes])
         times_s = {own.name: least_time_s(rig, largest, own) for own in todo if own.kind is Kind.STEP}
     elif travel is None or not travel[0] < travel[1]:
@@ -326,6 +328,7 @@ def _run(
     if not isinstance(rig, Rig):
         count, lost = factors.size, around.sensor_lost
         return run_plant_loops(driven, rig, seed, target, start=start, loops=count, sensor_lost=lost)
+    # The same key for all controllers: they are compared under equal noise and loads.
     key = jax.random.key(seed)
     return run_closed_loops(
         driven, rig, key, target, start_mm=start, implement_factors=factors, surroundings=around
@@ -349,6 +352,7 @@ def _bands(
     for scenario in todo:
         if scenario.kind in BAND_KINDS:
             key, start = jax.random.key(seed), scenario.start
+            # The sensor's offset is known before a run, as on a bench that stands still for a second.
             measured = measured_at_rest(rig, key, start, READINGS)
             runs = run_on_model(
                 controller, hitches, key, scenario.target, start=start, measured_start=measured

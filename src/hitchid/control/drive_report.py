@@ -48,20 +48,20 @@ def read_drive_limits(path: str | Path) -> dict[str, float]:
     Raises:
         SettingsError: the file is missing, no TOML, empty, or holds something that is not a number.
     """
-    place = checks.path(path, "path")
+    file = checks.path(path, "path")
     try:
-        content = tomllib.loads(place.read_text(encoding="utf-8"))
+        content = tomllib.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
-        raise SettingsError(f"{place}: cannot be read: {error.strerror}; expected a TOML file") from error
+        raise SettingsError(f"{file}: cannot be read: {error.strerror}; expected a TOML file") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SettingsError(f"{place}: is not TOML: {error}") from error
+        raise SettingsError(f"{file}: is not TOML: {error}") from error
     limits = {}
     for name, value in _flat(content):
         if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-            raise SettingsError(f"{place}: {name}: got {value!r}, expected a finite number")
+            raise SettingsError(f"{file}: {name}: got {value!r}, expected a finite number")
         limits[name] = float(value)
     if not limits:
-        raise SettingsError(f"{place}: has no limit; expected one such as iae_ratio = 0.6")
+        raise SettingsError(f"{file}: has no limit; expected one such as iae_ratio = 0.6")
     return limits
 
 
@@ -74,14 +74,14 @@ def check_drive(metrics: Mapping[str, object], limits: Mapping[str, float]) -> A
     figures = {name: value for name, value in _flat(metrics) if not isinstance(value, str)}  # but units
     made = []
     for name, limit in limits.items():
-        if name not in figures:
+        if name not in figures:  # misspelt: it must not pass as a limit that is met
             listed = ", ".join(sorted(figures))
             raise SettingsError(f"limits: there is no figure '{name}'; expected one of {listed}")
         value = figures[name]
         bound = "at least" if name in AT_LEAST else "at most"
         passed = value is not None and (value >= limit if name in AT_LEAST else value <= limit)
-        found = "missing: never settled, or not predicted" if value is None else f"{float(value):.4g}"
-        made.append(Check("closed loop", name, f"{bound} {limit:g}", found, bool(passed)))
+        figure = "missing: never settled, or not predicted" if value is None else f"{float(value):.4g}"
+        made.append(Check("closed loop", name, f"{bound} {limit:g}", figure, bool(passed)))
     return Acceptance(tuple(made))
 
 
@@ -125,6 +125,7 @@ def closed_loop(
                 label="predicted 90 %" if axes is displacement else None,
             )
     for number, own in enumerate(loops.displacement[:SHOWN]):
+        # One line of the legend for all loops.
         label = "controller" if number == 0 else None
         displacement.plot(time_s, own, color=COLOURS["greybox"], linewidth=0.6, label=label)
         error.plot(time_s, own - target, color=COLOURS["greybox"], linewidth=0.6)
@@ -142,6 +143,7 @@ def closed_loop(
         commands, label = loops.commands[0, :, number], f"{name} current"
         current.plot(time_s, commands, color=COLOURS[colour], linewidth=0.8, label=label)
     error.axhline(0.0, color=FAINT, linewidth=0.6)
+    # The approach is in the panel above; here the tolerance is to be seen.
     widest = 1.5 * scenario.tolerance
     if not scenario.amplitude:
         beyond = np.abs(loops.displacement[:SHOWN, scenario.begin :] - target[scenario.begin :])
@@ -178,6 +180,10 @@ def drive_report(
     """Return the report of closed loops on a bench or plant, `margins` being those of the controller file."""
     unit, names = result.unit, tuple(result.figures)
     figures = _figure_table(result, TESTED)
+    margin_rows = tuple(
+        (f"{title} / {limit_unit}" if limit_unit else title, *(f"{own[key]:.3g}" for own in margins.values()))
+        for key, (title, limit_unit) in MARGIN_ROWS.items()
+    )
     areas = tuple(
         (scenario, *(f"{result.figures[name][scenario].iae:.2f}" for name in names))
         for scenario in result.scenarios
@@ -198,7 +204,7 @@ def drive_report(
             *([] if acceptance is None else [limits_section(acceptance)]),
             ReportSection("Figures", (Text(EXPLANATION), figures.shown())),
             ReportSection("Beside the baselines", beside),
-            ReportSection("Margins", (Text(MARGINS), _margin_table(margins))),
+            ReportSection("Margins", (Text(MARGINS), Table("Margins", ("margin", *margins), margin_rows))),
             ReportSection("Scenarios", (Pictures(pictures),)),
             command_section(command),
         ),
@@ -313,14 +319,6 @@ def _figure_table(result: Drive, controller: str) -> RecordTable:
 
 def _cell(value: float | None) -> str:
     return "" if value is None else "never" if value == float("inf") else f"{value:.2f}"
-
-
-def _margin_table(margins: Mapping[str, Mapping[str, float]]) -> Table:
-    rows = tuple(
-        (f"{title} / {unit}" if unit else title, *(f"{own[key]:.3g}" for own in margins.values()))
-        for key, (title, unit) in MARGIN_ROWS.items()
-    )
-    return Table("Margins", ("margin", *margins), rows)
 
 
 def _picture(result: Drive, name: str, scenario: Scenario) -> Picture:

@@ -34,6 +34,9 @@ from hitchid.structures import structure_named
 FORMAT = 2
 # Of a channel's description in model.json; what is None there is left out here.
 MODEL_KEYS = ("structure", "values", "dead_time_s", "shape", "scheduling", "direction", "dead_zone")
+# Of a file, in the order of `Margins`; the disk margin of the model itself is not stored.
+MARGINS = ("gain_dB", "phase_deg", "delay_s", "sensitivity", "disk")
+NOMINAL_MARGINS = tuple(f"nominal_{name}" for name in MARGINS[:-1])
 CURVE_ROWS = 33  # of the table of speed and current, for other systems; chosen
 
 
@@ -81,6 +84,7 @@ class DirectionContent(Described):
     @classmethod
     def _integrates(cls, model: PhysicalDescription) -> PhysicalDescription:
         linear = structure_named(model.structure).linear
+        # Without an integrator no speed is steady, and the inverse of the opening curve has no meaning.
         if linear is None or linear.transfer_function(model.values)[1][-1] != 0:
             raise ValueError(f"got '{model.structure}', expected a linear structure with an integrator")
         return model
@@ -127,10 +131,10 @@ class ControllerContent(Described):
 
     @field_validator("format")
     @classmethod
-    def _known(cls, found: int) -> int:
-        if found != FORMAT:
+    def _known(cls, version: int) -> int:
+        if version != FORMAT:
             raise ValueError(f"expected {FORMAT}; tune again")
-        return found
+        return version
 
     @model_validator(mode="after")
     def _short_delays(self) -> "ControllerContent":
@@ -190,6 +194,7 @@ def load_controller(path: str | Path) -> ControllerFile:
         SettingsError: the file is missing, no TOML, of another format, or a number is missing or wrong.
     """
     content = parse_settings(checks.path(path, "path"), ControllerContent)
+    # Its models are inside: the model folder is for the bands of `hitchid drive` alone.
     rows = [content.lifting, content.lowering]
     axes = [
         Axis.of(
@@ -244,15 +249,8 @@ def _content(tuning: Tuning, model: Hitch, model_folder: str) -> dict[str, Any]:
             "largest_command": axis.largest_command,
             "curve": _curve(axis),
             "margins": {
-                "gain_dB": float(margins.worst.gain_db),
-                "phase_deg": float(margins.worst.phase_deg),
-                "delay_s": float(margins.worst.delay_s),
-                "sensitivity": float(margins.worst.sensitivity),
-                "disk": float(margins.worst.disk),
-                "nominal_gain_dB": float(margins.nominal.gain_db),
-                "nominal_phase_deg": float(margins.nominal.phase_deg),
-                "nominal_delay_s": float(margins.nominal.delay_s),
-                "nominal_sensitivity": float(margins.nominal.sensitivity),
+                **dict(zip(MARGINS, map(float, margins.worst), strict=True)),
+                **dict(zip(NOMINAL_MARGINS, map(float, margins.nominal), strict=False)),
                 "largest_dead_time_s": margins.dead_time_s,
                 "passed": margins.passed,
             },
@@ -277,14 +275,16 @@ def _content(tuning: Tuning, model: Hitch, model_folder: str) -> dict[str, Any]:
 def _curve(axis: Axis) -> dict[str, list[float]]:
     """Return speed and current in the middle of the stroke, for a look-up block of another system."""
     nonlinearity = axis.model.benchmark.nonlinearity
-    place = jnp.zeros(()) if nonlinearity is None else nonlinearity.scales.centre
-    speeds = np.linspace(0.0, float(axis.fastest(place)), CURVE_ROWS)
-    currents = [float(axis.current_for(jnp.asarray(speed), place)) for speed in speeds]
+    middle = jnp.zeros(()) if nonlinearity is None else nonlinearity.scales.centre
+    speeds = np.linspace(0.0, float(axis.fastest(middle)), CURVE_ROWS)
+    currents = [float(axis.current_for(jnp.asarray(speed), middle)) for speed in speeds]
+    # Rounded for a person who copies the table; the controller itself solves for each speed.
     return {"speed": [float(f"{speed:.6g}") for speed in speeds], "command": currents}
 
 
 def _lines(table: Mapping[str, Any], prefix: str = "") -> list[str]:
     """Return a table as lines of TOML, its values before its tables."""
+    # What stands below the head of a table belongs to it, so that values come before further tables.
     lines = [
         f"{_key(name)} = {_value(value)}" for name, value in table.items() if not isinstance(value, Mapping)
     ]

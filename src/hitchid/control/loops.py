@@ -56,6 +56,7 @@ def plant_response(
     The dead time's fraction of a sample is exact, as a plant has it, else as of a controller that
     interpolates between samples.
     """
+    # In samples, not in continuous time: hold, predictor and integral are as the controller has them.
     z = np.exp(1j * omega * step_s)
     a, b = np.asarray(plant.a), np.asarray(plant.b)
     dead_time = np.asarray(plant.dead_time_s)
@@ -97,6 +98,7 @@ def open_loop(
     """
     z = np.exp(1j * omega * step_s)
     controller = float(gains.proportional) + float(gains.integral) * step_s * z / (z - 1)
+    # The controller divides by the slope of its own model; the plant's slope differs, and is in the loop.
     inverse = 1 / model.speed_gain[..., None]
     predictor = controller * model.undelayed * (1 - model.delay)
     difference = (1 - 1 / z) / step_s
@@ -148,6 +150,7 @@ def margins(loop: Complex[np.ndarray, "*b f"], omega: Float[np.ndarray, " f"]) -
         loop: response L of the open loop.
         omega: ascending frequencies, rad/s, shape [F].
     """
+    # Unwrapped, since a crossing of −180° is a jump of the angle.
     phase = np.unwrap(np.angle(loop), axis=-1)
     # Half a sample of dead time leaves nothing at the Nyquist frequency, whose logarithm would be infinite.
     log_size = np.log(np.maximum(np.abs(loop), np.finfo(float).tiny))
@@ -201,6 +204,7 @@ def lqi_gains(bandwidth: float, lags: Lags, step_s: float) -> Gains:
     a[[0, 1, 2], [1, 2, 3]] = 1.0
     a[3, 2:] = -1 / a2, -a1 / a2
     b = np.array([[0.0], [0.0], [0.0], [1 / a2]])
+    # Exact for a speed command that is held over a sample.
     block = expm(step_s * np.block([[a, b], [np.zeros((1, 5))]]))
     transition, held = block[:4, :4], block[:4, 4:]
     weights = np.diag([(bandwidth / INTEGRAL_RATIO) ** 2, 1.0, 0.0, 0.0])
@@ -307,6 +311,7 @@ class DirectionLoops:
             join = lambda one, rows: np.concatenate([np.asarray(one)[None], np.asarray(rows)])  # noqa: E731
             both = jax.tree.map(join, nominal, loaded)
             plants.append(plant_response(both, omega, model.step_s))
+        # Behind the parameters of the structure stands the dead time.
         dead_times_s = vectors[:, channel.benchmark.values.size]
         upper = float(np.quantile(dead_times_s, 0.975))
         axis = axis_of(model, channel, row)

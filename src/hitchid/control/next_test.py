@@ -148,6 +148,7 @@ def design(
     def ratios(expected_errors: np.ndarray) -> dict[str, float]:
         return dict(zip(information.names, map(float, expected_errors / errors), strict=True))
 
+    # Information adds up over independent tests, so that each candidate is judged beside those there were.
     proposals = [
         replace(proposal, remaining_error=ratios(standard_errors_with(information, jacobian)))
         for proposal, jacobian in _candidates(channel, information, limits, model.step_s, seed)
@@ -272,6 +273,7 @@ def _batch(channel: Channel, commands: Float[np.ndarray, "t n"], step_s: float) 
     """Return candidate tests as a batch that starts at the end of the stroke opposite to the motion."""
     ends, load = channel.operating_range.displacement, channel.operating_range.load
     covariates = channel.benchmark.covariates
+    # The whole stroke is ahead of it, as it was in the tests.
     start = ends.lowest if channel.sign > 0 else ends.highest
     tests, samples = commands.shape
     padded = np.pad(commands, ((0, 0), (0, padded_length(samples) - samples)))
@@ -310,6 +312,7 @@ def _travel_derivatives(
     def travel(row: Array) -> Array:
         return physical_model.with_parameter_vector(row).travel(batch)
 
+    # One parameter after the other: all at once would hold as many free runs of all candidates.
     slopes = jax.lax.map(
         lambda tangent: jax.jvp(travel, (physical_model.parameter_vector,), (tangent,))[1], tangents
     )

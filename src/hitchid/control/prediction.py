@@ -114,8 +114,9 @@ def drawn_hitches(
             return axis.with_benchmark(channel.benchmark.with_parameter_vector(vector).at_load(row))
 
         axes.append(jax.vmap(drawn, (0, None))(jnp.asarray(vectors), jnp.asarray(row)))
-        known = channel.load_filter
-        scattered = replace(known, load_scatter=jnp.hypot(known.load_scatter, spread))
+        # Loads of the runs and scatter between tests are independent: their variances add.
+        load_filter = channel.load_filter
+        scattered = replace(load_filter, load_scatter=jnp.hypot(load_filter.load_scatter, spread))
         filters.append(jax.tree.map(lambda value: jnp.broadcast_to(value, (draws,)), scattered))
     factor = (1 + heavier) ** SPEED_EXPONENT
     factors = jnp.tile(jnp.asarray([1 / factor, factor]), (draws, 1))
@@ -155,6 +156,7 @@ def band_of(runs: Float[np.ndarray, "s n"]) -> Band:
     largest deviation in standard deviations.
     """
     mean, deviation = runs.mean(axis=0), runs.std(axis=0, ddof=1)
+    # Where all runs are equal there is no deviation to divide by.
     safe = np.maximum(deviation, np.finfo(float).tiny)
     factor = np.quantile(np.max(np.abs(runs - mean) / safe, axis=1), COVERAGE)
     return Band(mean - factor * deviation, mean + factor * deviation)
@@ -208,6 +210,7 @@ def _advance(hitch: DrawnHitch, state: _State, currents: Array, normal: Array) -
         kept = jnp.exp(-jnp.abs(moved) / filter_.load_length)
         spread = jnp.sqrt(1 - kept**2) * filter_.load_scatter
         loads.append(kept * state.loads[number] + spread * normal[2 * number])
+        # Transients arise in motion and die out at rest.
         is_moving = jnp.abs(moved) > MOVING_SHARE * axis.fastest(state.displacement) * step_s
         decay = jnp.exp(-step_s / filter_.transient_time)
         driven = jnp.where(is_moving, jnp.sqrt(1 - decay**2) * filter_.transient_scatter, 0.0)

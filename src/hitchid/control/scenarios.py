@@ -85,8 +85,10 @@ def _pid_step(
     is_lost = ~jnp.isfinite(measured)
     position = jnp.where(is_lost, state.measured, measured)
     error = target - position
+    # Gains of the direction that the error asks for: those of both directions differ.
     number = jnp.where(error >= 0, 0, 1)
     gain, derivative_s = controller.proportional[number], controller.derivative_s[number]
+    # Unfiltered, a derivative over 10 ms would be sensor noise.
     share = controller.step_s / (DERIVATIVE_FILTER * derivative_s + controller.step_s)
     filtered = state.error + share * (error - state.error)
     rate = (filtered - state.error) / controller.step_s
@@ -140,9 +142,9 @@ def _simc(controller: HitchController, number: int) -> tuple[Scalar, Scalar, Sca
     """Return K, τ and θ, the latter in s; half a sample of the hold belongs to the dead time."""
     axis = controller.axes[number]
     nonlinearity = axis.model.benchmark.nonlinearity
-    place = jnp.zeros(()) if nonlinearity is None else nonlinearity.scales.centre
-    speed = EFFECTIVE_SHARE * axis.fastest(place)
-    slope = 1 / jax.grad(axis.current_for)(speed, place)
+    middle = jnp.zeros(()) if nonlinearity is None else nonlinearity.scales.centre
+    speed = EFFECTIVE_SHARE * axis.fastest(middle)
+    slope = 1 / jax.grad(axis.current_for)(speed, middle)
     return slope, controller.lags_s[number], (axis.dead_time_samples + 0.5) * axis.step_s
 
 
@@ -264,6 +266,7 @@ def step_name(amplitude: float, unit: str = "mm") -> str:
 def least_time_s(rig: Rig, currents_a: Float[np.ndarray, "2"], scenario: Scenario) -> float:
     """Return the least time in which the bench goes the way of a step: at the largest currents, A, in s."""
     number = 0 if scenario.amplitude > 0 else 1
+    # The same bench without a controller: no controller can be faster with these currents.
     currents = np.zeros((1, scenario.target.size, 2))
     currents[..., number] = currents_a[number]
     motion = simulate(rig, currents, initial_displacement_m=1e-3 * scenario.start)
@@ -277,6 +280,7 @@ def _count(duration_s: float) -> int:
 
 
 def _step(middle: float, size: float, slowest_mm_s: float, unit: str = "mm") -> Scenario:
+    # About the middle: the largest step goes through mid stroke and meets no stop.
     start = middle - 0.5 * size
     way = _count(abs(size) / slowest_mm_s + AFTER_S)
     target = np.concatenate([np.full(_count(BEFORE_S), start), np.full(way, start + size)])
@@ -296,6 +300,7 @@ def _sine(middle: float, amplitude: float, frequency_hz: float, unit: str) -> Sc
     time_s = SAMPLE_S * np.arange(_count(SINE_PERIODS / frequency_hz))
     target = middle + amplitude * np.sin(2 * np.pi * frequency_hz * time_s)
     name = f"sine {amplitude:g} {unit}, {frequency_hz:g} Hz"
+    # The first period is left out: the hitch begins at rest, the sine at its largest speed.
     return Scenario(name, Kind.SINE, target, middle, _count(1 / frequency_hz))
 
 
@@ -314,6 +319,7 @@ def _changes(middle: float, slowest_mm_s: float) -> Iterator[Scenario]:
     for before_kg, after_kg in ((LIGHT_KG, HEAVY_KG), (HEAVY_KG, LIGHT_KG)):
         for sign in (1, -1):
             step = _step(middle, sign * CHANGED_STEP_MM, slowest_mm_s)
+            # The load is taken over where the hitch is half way, and moves.
             half_s = 0.5 * CHANGED_STEP_MM / slowest_mm_s
             time_s = SAMPLE_S * (np.arange(step.target.size) - step.begin) - half_s + 0.5 * LOAD_TAKEN_S
             kg = before_kg + (after_kg - before_kg) * np.clip(time_s / LOAD_TAKEN_S, 0.0, 1.0)

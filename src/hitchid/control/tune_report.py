@@ -14,7 +14,6 @@ from hitchid.control.loops import (
     MIN_DEAD_TIMES,
     MIN_GAIN_DB,
     MIN_PHASE_DEG,
-    DirectionMargins,
     Margins,
 )
 from hitchid.control.tuning import OpenLoop, TrialRun, Tuning
@@ -113,6 +112,7 @@ def step_fan(steps: Sequence[TrialRun], unit: str) -> Figure:
 def _phase(loop: OpenLoop) -> Float[np.ndarray, "s f"]:
     """Return the continuous phase, which begins between −360° and 0."""
     phase = np.unwrap(np.angle(loop.response), axis=-1)
+    # Without it the draws would lie whole turns apart in one plot.
     return phase - 2 * np.pi * np.ceil(phase[:, :1] / (2 * np.pi))
 
 
@@ -138,7 +138,15 @@ def tune_report(result: Tuning, *, command: str = "") -> Document:
     return Document(
         title="Position controller",
         subtitle=f"{result.method} control; {numbers.count(result.draws, 'draw')} of the parameters",
-        verdict=tuple(_finding(direction, own) for direction, own in result.margins.items()),
+        verdict=tuple(
+            Finding(
+                Rating.GOOD if own.passed else Rating.BAD,
+                f"{direction.capitalize()}: gain margin {own.worst.gain_db:.1f} dB, phase margin "
+                f"{own.worst.phase_deg:.0f}°, Ms {own.worst.sensitivity:.2f}, delay margin "
+                f"{1e3 * own.worst.delay_s:.0f} ms in 95 % of the draws.",
+            )
+            for direction, own in result.margins.items()
+        ),
         sections=(
             ReportSection("Margins", (Text(EXPLANATION), _margin_table(result))),
             ReportSection("Gains", (_gain_table(result), trials)),
@@ -147,15 +155,6 @@ def tune_report(result: Tuning, *, command: str = "") -> Document:
         ),
         data_tables={"open_loop": DataTable.of_columns("open_loop", _columns(result.loops))},
     )
-
-
-def _finding(direction: str, own: DirectionMargins) -> Finding:
-    worst = own.worst
-    text = (
-        f"{direction}: gain margin {worst.gain_db:.1f} dB, phase margin {worst.phase_deg:.0f}°, "
-        f"Ms {worst.sensitivity:.2f}, delay margin {1e3 * worst.delay_s:.0f} ms in 95 % of the draws."
-    )
-    return Finding(Rating.GOOD if own.passed else Rating.BAD, text[0].upper() + text[1:])
 
 
 def _margin_table(result: Tuning) -> Table:

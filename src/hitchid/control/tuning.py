@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,7 @@ from hitchid.control.loops import (
     MIDDLE,
     MIN_GAIN_DB,
     MIN_PHASE_DEG,
+    SHARE,
     STROKE_SHARES,
     DirectionLoops,
     DirectionMargins,
@@ -153,7 +154,7 @@ def tune(
     for number, (method, gains_of) in enumerate(METHODS.items(), start=1):
         gains = [own for loop in loops if (own := fastest_gains(loop, gains_of)) is not None]
         if len(gains) < len(loops):
-            continue
+            continue  # a method without gains for both directions is no controller
         controller = _controller(model, gains, rows)
         progress(ProgressUpdate(f"{method}: trial runs", 0.3 * number))
         trials[method] = controller, _trial_runs(controller, model, load, seed)
@@ -190,6 +191,7 @@ def fastest_gains(loop: DirectionLoops, gains_of: GainsOf) -> Gains | None:
     def gains(log_bandwidth: float) -> Gains:
         return gains_of(float(np.exp(log_bandwidth)), loop.lags, loop.step_s)
 
+    # Bisection needs an end that passes; without one the tests leave too much open.
     if not loop.margins(gains(low)).passed:
         return None
     for _ in range(BISECTIONS):
@@ -208,6 +210,7 @@ def _controller(
     channels = tuple(model.channels.values())
     axes = tuple(axis_of(model, channel, row) for channel, row in zip(channels, rows, strict=True))
     noise = sensor_noise(model)
+    # Windows and crossing speeds in terms of the noise: a rig with a better sensor holds more closely.
     lags_s = np.array([axis.lags[0] for axis in axes])
     stop_s = DECELERATION_LAGS * np.array([a1 + a2**0.5 for a1, a2 in (axis.lags for axis in axes)])
     middle = jnp.asarray(np.mean([point[1] for point in operating_points(channels[0])]))
@@ -229,12 +232,13 @@ def _controller(
 def _trial_runs(
     controller: HitchController, model: Hitch, load: Load | None, seed: int
 ) -> tuple[TrialRun, ...]:
-    """Return steps, then ramps, on drawn models."""
+    """Return steps, then ramps, on drawn models: margins say what is safe, but not which method is faster."""
     hitches = drawn_hitches(controller, model, load, TRIAL_DRAWS, seed)
     if hitches is None:
         raise InputError("model: its parameters have no standard errors")
     points = [displacement for _, displacement in operating_points(model.channels[DIRECTIONS[0]])]
     middle, travel = float(np.mean(points)), TRIAL_SHARE * float(np.ptp(points) / np.ptp(STROKE_SHARES))
+    # Ramps that both directions can follow.
     slowest = min(float(axis.fastest(jnp.asarray(middle))) for axis in controller.axes)
     ramp_s = max(TRIAL_RAMP_S, 2 * travel / slowest)
     time_s = np.arange(0.0, TRIAL_START_S + ramp_s + TRIAL_SETTLING_S, model.step_s)
@@ -243,6 +247,7 @@ def _trial_runs(
     ramp = travel * np.clip(moving_s / ramp_s, 0.0, 1.0)
     runs = []
     for number, way in enumerate((step, -step, ramp, -ramp)):
+        # Equal noise and draws for all methods, others for each way.
         target, key = middle + way, jax.random.key(seed + number)
         measured = run_on_model(controller, hitches, key, target, start=middle)
         runs.append(TrialRun(time_s, target, measured))
@@ -277,6 +282,7 @@ def check_tunable(model: Hitch) -> None:
 
 def _refusal(loops: Sequence[DirectionLoops]) -> str:
     """Return why no bandwidth has its margins, and which test would help."""
+    # At the smallest bandwidth that is searched: no other has been looked at.
     slowest = [loop.margins(pi_gains(LOWEST_RAD_S, loop.lags, loop.step_s)) for loop in loops]
     number = next((number for number, own in enumerate(slowest) if not own.passed), 0)
     loop, worst = loops[number], slowest[number].worst
@@ -286,4 +292,109 @@ def _refusal(loops: Sequence[DirectionLoops]) -> str:
         f"{worst.phase_deg:.0f}° phase margin, Ms {worst.sensitivity:.2f} and {1e3 * worst.delay_s:.0f} ms "
         f"delay margin; expected {MIN_GAIN_DB:g} dB, {MIN_PHASE_DEG:g}°, {MAX_SENSITIVITY:g} and "
         f"{2e3 * loop.dead_time_s:.0f} ms; run the test of hitchid design MODEL --for control"
+    )
+
+
+# What limits a controller: a parameter that its margins depend on, or the noise of its sensor.
+
+CAPPED = 0.99  # of the largest bandwidth that is searched; the search ends within a thousandth of it
+
+
+@short_repr
+@dataclass(frozen=True)
+class Limitation:
+    """What the tests of one direction leave open, as far as it limits the controller.
+
+    Attributes:
+        direction: lifting or lowering.
+        bandwidth_rad_s: largest of PI control with all margins, or that at the bound of `limit`.
+        limit: what ends the bandwidth: the `margins`; or before them the `noise` of the sensor, which asks
+            for 4 % of the largest speed there, or the end of the `search` at 30 rad/s. Noise is as
+            identified, and may contain what the model misses.
+        nominal: Ms at the worst operating point with the identified parameters.
+        worst: Ms that 95 % of the draws keep there.
+        shares: parameter to the share of the variance of log Ms over draws that would vanish with this
+            parameter known, to first order; the largest first.
+    """
+
+    direction: str
+    bandwidth_rad_s: float
+    limit: Literal["margins", "noise", "search"]
+    nominal: float
+    worst: float
+    shares: Mapping[str, float]
+
+    @property
+    def parameter(self) -> str:
+        """The parameter with the largest share."""
+        return next(iter(self.shares))
+
+
+@double_precision
+def limitation(
+    model: Hitch,
+    direction: str | None = None,
+    *,
+    load: Load | None = None,
+    draws: int = PARAMETER_DRAWS,
+    seed: int = 0,
+) -> Limitation:
+    """Return what limits the controller in the direction where the parameters' spread costs Ms the most.
+
+    A direction that its margins limit comes before one that the noise of the sensor does.
+
+    At the largest bandwidth of PI control that keeps its margins, log Ms of a draw is correlated with each of
+    its parameters over all draws; the squared correlation is the share of its variance that goes with the
+    parameter. Ms bounds gain and phase margin (Skogestad & Postlethwaite 2005, sec. 2.4.3).
+
+    Args:
+        model: of both directions, sampled every 10 ms, in any units.
+        direction: only this one.
+        load: covariates that the controller is tuned for; their mean in the tests by default.
+        draws: parameter vectors.
+        seed: of the draws.
+
+    Raises:
+        InputError: the model cannot be tuned, or has no parameter with a standard error.
+    """
+    check_tunable(model)
+    if direction is not None:
+        checks.one_of(direction, DIRECTIONS, "direction")
+    limitations = [
+        _limitation(model, name, row, draws, seed)
+        for name, row in zip(DIRECTIONS, loads_of_channels(model, load), strict=True)
+        if direction in (None, name)
+    ]
+    return max(limitations, key=lambda own: (own.limit == "margins", own.worst / own.nominal))
+
+
+def _limitation(
+    model: Hitch, direction: str, row: Float[np.ndarray, " c"], draws: int, seed: int
+) -> Limitation:
+    loops = DirectionLoops.of(model, direction, row, draws, seed)
+    fastest = fastest_gains(loops, pi_gains)
+    # A model that is refused has no such bandwidth; it is judged at the smallest that is searched.
+    gains = fastest or pi_gains(LOWEST_RAD_S, loops.lags, loops.step_s)
+    limit = "noise" if loops.noise_rad_s < HIGHEST_RAD_S else "search"
+    if fastest is None or fastest.proportional < CAPPED * highest_rad_s(loops):
+        limit = "margins"
+    # Of the model, then of each draw, at its worst operating point.
+    sensitivity = np.max([point.sensitivity for point in loops.margins_at_points(gains)], axis=0)
+    names = [parameter.name for parameter in model.channels[direction].benchmark.parameters]
+    # Logarithms: Ms of a draw near its stability limit has no bound.
+    logs = np.log(np.minimum(sensitivity[1:], np.finfo(float).max))
+    shares = {
+        name: float(np.corrcoef(column, logs)[0, 1] ** 2)
+        for name, column in zip(names, loops.vectors.T, strict=True)
+        if np.ptp(column) > 0 and np.ptp(logs) > 0
+    }
+    if not shares:
+        raise InputError(f"model: no {direction} parameter changes the margins; no test helps the controller")
+    return Limitation(
+        direction,
+        float(gains.proportional),
+        limit,
+        float(sensitivity[0]),
+        float(np.quantile(sensitivity[1:], SHARE)),
+        dict(sorted(shares.items(), key=lambda item: -item[1])),
     )

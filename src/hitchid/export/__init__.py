@@ -7,5 +7,3 @@ from hitchid.export.fmu import to_fmu as to_fmu
 from hitchid.export.onnx_network import to_onnx as to_onnx
 from hitchid.export.verification import Parity as Parity
 from hitchid.export.verification import ParityError as ParityError
-
-__all__ = ["Export", "Parity", "ParityError", "Precision", "to_c", "to_fmu", "to_onnx"]

@@ -145,18 +145,19 @@ def to_c(
         ParityError: the compiled code differs from the model.
         OutputError: the folder exists, or cannot be written.
     """
-    place = checks.path(folder, "folder")
+    out = checks.path(folder, "folder")
     # Before the proof, which takes seconds.
-    check_folder(place, result_kind=MANIFEST, force=force)
+    check_folder(out, result_kind=MANIFEST, force=force)
     verified = verified_source(model, name, precision=precision, compensators=compensators)
+    # The manifest states the proof, so that whoever gets the folder alone can see what was compared.
     stated, files = manifest(verified, "c", precision), c_files(verified)
     if controller is not None:
         code, difference = controller_files(controller, model, name, precision, verified.compiler)
         files |= code
         stated |= {"controller": {"current_difference": difference, "load": dict(controller.load)}}
     files[MANIFEST] = canonical_json(stated)
-    write_folder(place, lambda target: write_files(target, files), result_kind=MANIFEST, force=force)
-    return Export(place, verified.parity, verified.compiler_version, verified.notices)
+    write_folder(out, lambda target: write_files(target, files), result_kind=MANIFEST, force=force)
+    return Export(out, verified.parity, verified.compiler_version, verified.notices)
 
 
 def verified_source(
@@ -177,6 +178,7 @@ def verified_source(
     constants = constants_of(exported)
     runs = reference_runs(exported, samples)
     templates = c_templates(constants, name, precision)
+    # The program that replays is part of the proof, and not of what is exported.
     files = {
         f"{name}.h": templates.render("model.h"),
         f"{name}.c": templates.render("model.c"),
@@ -186,8 +188,8 @@ def verified_source(
     source = VerifiedSource(exported, constants, name, templates, files, runs, None, compiler)
     if compiler is None:
         return source
-    with tempfile.TemporaryDirectory() as place:
-        target = Path(place)
+    with tempfile.TemporaryDirectory() as temporary:
+        target = Path(temporary)
         write_files(target, {file: text.encode() for file, text in files.items()})
         parity = verify(
             compiler,
@@ -195,7 +197,7 @@ def verified_source(
             runs,
             source.travel_range,
             source.tolerance,
-            compare_modes=precision != "single",
+            compare_modes=precision != "single",  # a threshold may be passed a sample earlier
         )
     return replace(source, parity=parity)
 

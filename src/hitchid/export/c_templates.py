@@ -106,6 +106,7 @@ def c_templates(model: ModelConstants, name: str, precision: Precision) -> CTemp
 
     `mixed` is physics in double, networks in single precision.
     """
+    # What a file says goes into comments of C only as text that cannot end one.
     loads = [f"{comment(name)} ({comment(model.units.get(name, '1'))})" for name in model.covariates]
     model = replace(
         model,
@@ -124,9 +125,11 @@ def c_templates(model: ModelConstants, name: str, precision: Precision) -> CTemp
     channel_fields = {
         owner: [Typed.of(field, f"{owner}.", name) for field in own] for owner, own in by_channel.items()
     }
+    # A state is saved field by field, not as memory: padding and byte order differ between machines.
     saved = [Typed.of(field, "parameters.", name) for field in parameters] + fields
     saved += [field for own in channel_fields.values() for field in own]
     state_bytes = sum(sizes[field.kind] * field.count for field in saved)
+    # With the model's digest, so that the state of another model is refused.
     header = MAGIC + LAYOUT.to_bytes(4, "little") + bytes.fromhex(model.digest[:16].ljust(16, "0"))
     context = {
         **vars(model),
@@ -167,7 +170,7 @@ def number(value: float | int, kind: str) -> str:
         if value and abs(value) < SMALLEST_SINGLE:
             value = math.copysign(SMALLEST_SINGLE, value)
         value = max(-LARGEST_SINGLE, min(LARGEST_SINGLE, value))
-        text = f"{value:.9g}"
+        text = f"{value:.9g}"  # nine digits read back to the same single
     else:
         # As few digits as read back to the same number.
         text = f"{value:.17g}"

@@ -70,12 +70,13 @@ def confine(folder: str) -> None:
         **dict.fromkeys(LINKER_FILES, READ_FILE),
     }
     for path, rights in granted.items():
-        if os.path.exists(path):
-            place = os.open(path, os.O_PATH)
-            rule = _Beneath(rights, place)
+        if os.path.exists(path):  # no system has all of them
+            descriptor = os.open(path, os.O_PATH)
+            rule = _Beneath(rights, descriptor)
             if kernel.syscall(ADD, handle, BENEATH, ctypes.byref(rule), ctypes.c_uint32(0)):
                 raise OSError(ctypes.get_errno(), "landlock_add_rule", path)
-            os.close(place)
+            os.close(descriptor)
+    # The kernel asks for the first: a program with more rights must not be started with less to see.
     if kernel.prctl(NO_NEW_PRIVILEGES, 1, 0, 0, 0) or kernel.syscall(RESTRICT, handle, ctypes.c_uint32(0)):
         raise OSError(ctypes.get_errno(), "landlock_restrict_self")
     os.close(handle)

@@ -119,6 +119,7 @@ def plant_of(channel: Channel, discrete: DiscretePhysicalModel) -> Plant:
         )
     linear = structure.require_linear()
     form = _form(linear, STATE_SPACES)
+    # A discretised model needs no equations, unless a covariate or dry friction changes it at run time.
     if form is None and (benchmark.scheduling is not None or linear.has_dry_friction):
         raise _unknown(linear.name)
     names = [parameter.name for parameter in linear.parameters]
@@ -153,15 +154,16 @@ def plant_of(channel: Channel, discrete: DiscretePhysicalModel) -> Plant:
 
 def _form(structure: object, forms: dict[type, str]) -> str | None:
     """Return the name of a structure's equations; None of a structure of another package."""
+    # A class of another package that extends one of ours may have other equations.
     if type(structure).__module__.partition(".")[0] != "hitchid":
         return None
     return next((name for kind, name in reversed(forms.items()) if isinstance(structure, kind)), None)
 
 
 def _unknown(name: str) -> InputError:
-    known = ", ".join([*STATE_SPACES.values(), *VECTOR_FIELDS.values()]).replace("_", "-")
+    forms = ", ".join([*STATE_SPACES.values(), *VECTOR_FIELDS.values()]).replace("_", "-")
     return InputError(
-        f"structure {name}: expected one whose equations the export knows ({known}), or a linear one without "
+        f"structure {name}: expected one whose equations the export knows ({forms}), or a linear one without "
         "covariates and dry friction"
     )
 
@@ -175,6 +177,7 @@ def curves_of(nonlinearity: StaticNonlinearity, step_s: float) -> dict[str, floa
     names = ("opening", "exponent", "saturation", "hysteresis", "spool_lag")
     names += ("position_slope", "position_curve")
     curves = {name: float(value) for name, value in zip(names, nonlinearity.named(*names), strict=True)}
+    # Computed here in double precision, also for code in single.
     decay = float(np.exp(-step_s / curves["spool_lag"]))
     scales = nonlinearity.scales
     return curves | {
@@ -279,6 +282,7 @@ def constants_of(model: Hitch) -> ModelConstants:
     dynamics = HitchDynamics.of(tuple(model.channels.values()), model.step_s, model.drift)
     names = covariates_of(model.channels.values())
     bands = {direction: own.bands for direction, own in model.uncertainty.items() if own.bands is not None}
+    # A half width of one direction alone would be none for a hitch that goes both ways.
     has_bands = all(direction in bands for direction in model.channels)
     pairs = zip(dynamics.channels, dynamics.discrete_models, strict=True)
     channels = tuple(

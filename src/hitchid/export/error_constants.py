@@ -44,6 +44,7 @@ class Range:
         if not all(map(math.isfinite, ends)):
             return None
         width = ends[1] - ends[0]
+        # A signal that stood still in the tests has no width to take a share of.
         return cls(ends[0], ends[1], RANGE_MARGIN * width if width > 0 else 1.0, 0.5 * width)
 
     @classmethod

@@ -5,7 +5,7 @@ import platform
 import sys
 import tempfile
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -90,18 +90,19 @@ def to_fmu(
         ParityError: the compiled code differs from the model.
         OutputError: the file exists, or cannot be written.
     """
-    place = checks.path(path, "path")
+    out = checks.path(path, "path")
     checks.one_of(version, ("fmi2", "fmi3"), "version")
-    chosen = None if platforms is None else [checks.one_of(each, PLATFORMS, "platform") for each in platforms]
-    check_file(place, force=force)
+    chosen = None if platforms is None else [checks.one_of(own, PLATFORMS, "platform") for own in platforms]
+    check_file(out, force=force)
     verified = verified_source(model, name, precision=precision, compensators=compensators)
-    sources = fmu_sources(verified, version)
+    variables, sources = fmu_sources(verified, version)
     binaries, notices = _binaries(verified, version, sources, chosen)
     compiler = verified.compiler_version
     page = verified.templates.render(
-        "documentation.html", variables=sources.variables, parity=verified.parity, compiler=compiler
+        "documentation.html", variables=variables, parity=verified.parity, compiler=compiler
     )
-    content = {**sources.files(version), **binaries, "documentation/index.html": page.encode()}
+    # The sources always: a tool may build for a platform that has no binary here.
+    content = {**sources, **binaries, "documentation/index.html": page.encode()}
     content["resources/manifest.json"] = canonical_json(
         {**manifest(verified, version, precision), "platforms": sorted(binaries)}
     )
@@ -113,36 +114,15 @@ def to_fmu(
             entry.external_attr = 0o644 << 16
             entry.create_system = 3  # the same on all platforms
             file.writestr(entry, content[path_in_archive])
-    write_bytes(place, archive.getvalue(), force=force)
-    return Export(place, verified.parity, compiler, (*verified.notices, *notices))
+    write_bytes(out, archive.getvalue(), force=force)
+    return Export(out, verified.parity, compiler, (*verified.notices, *notices))
 
 
-class FmuSources(NamedTuple):
-    """Sources of an FMU.
+def fmu_sources(verified: VerifiedSource, version: Version) -> tuple[tuple[Variable, ...], dict[str, bytes]]:
+    """Return the variables of an FMU, and its description and sources, path in the archive to content.
 
-    Attributes:
-        variables: of the FMU.
-        description: modelDescription.xml.
-        code: name to text of the C files and headers.
-        compiled: names of the files that are compiled.
-        build: buildDescription.xml of FMI 3.0.
+    Description and code hold a token of the model and the code.
     """
-
-    variables: tuple[Variable, ...]
-    description: bytes
-    code: dict[str, bytes]
-    compiled: tuple[str, ...]
-    build: bytes
-
-    def files(self, version: Version) -> dict[str, bytes]:
-        """Return the files of the archive, path to content."""
-        files = {"modelDescription.xml": self.description}
-        files |= {f"sources/{name}": text for name, text in self.code.items()}
-        return files | ({"sources/buildDescription.xml": self.build} if version == "fmi3" else {})
-
-
-def fmu_sources(verified: VerifiedSource, version: Version) -> FmuSources:
-    """Return the sources of an FMU with the token of the model and its code."""
     name, templates = verified.name, verified.templates
     start = verified.runs[0].start
     parameters = templates.context["parameters"]
@@ -160,30 +140,35 @@ def fmu_sources(verified: VerifiedSource, version: Version) -> FmuSources:
         f"hitchid model {verified.constants.digest[:12] or 'not saved'}"
     )
     compiled, step_s = (f"{name}.c", adapter), verified.constants.step_s
-    return FmuSources(
-        variables,
-        model_description(version, name, token, variables, step_s, compiled, described),
-        code,
-        compiled,
-        build_description(name, compiled),
+    files = {f"sources/{file}": text for file, text in code.items()}
+    files["modelDescription.xml"] = model_description(
+        version, name, token, variables, step_s, compiled, described
     )
+    if version == "fmi3":
+        files["sources/buildDescription.xml"] = build_description(name, compiled)
+    return variables, files
 
 
 def _state_header(identity: bytes, variables: Sequence[Variable]) -> dict[str, object]:
     """Return the first bytes of a saved state, and the symbols of the covariates."""
+    # Part of the token: a state of another FMU, or of another export of this model, is refused.
     magic = b"HFMU" + identity.ljust(12, b"\0")
     loads = [variable.symbol for variable in variables if variable.symbol.startswith("LOAD_")]
     return {"state_magic": list(magic), "load_symbols": loads}
 
 
 def _binaries(
-    verified: VerifiedSource, version: Version, sources: FmuSources, platforms: Sequence[str] | None
+    verified: VerifiedSource,
+    version: Version,
+    sources: Mapping[str, bytes],
+    platforms: Sequence[str] | None,
 ) -> tuple[dict[str, bytes], list[str]]:
     """Return path in the archive to shared library, and notices."""
     cross = zig_compiler()
     here = _this_platform()
     if platforms is None:
         platforms = list(PLATFORMS) if cross else [here] if verified.compiler and here else []
+    # A compiler of the system compiles for its own platform only.
     others = [name for name in platforms if name != here]
     if others and cross is None:
         raise InputError(
@@ -193,10 +178,10 @@ def _binaries(
     if not platforms:
         return {}, ["no binary: there is no C compiler; the FMU holds its sources only"]
     binaries = {}
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        write_files(folder, sources.code)
-        paths = [folder / file for file in sources.compiled]
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        write_files(folder, {path.rpartition("/")[2]: content for path, content in sources.items()})
+        paths = [folder / f"{verified.name}.c", folder / f"{verified.name}_{version}.c"]
         for target in map(PLATFORMS.__getitem__, platforms):
             out = folder / f"{verified.name}{target.suffix}"
             if cross is not None:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import pi
-from typing import Literal, NamedTuple
+from typing import Literal
 from xml.etree import ElementTree
 
 from hitchid._support.inert import identifiers, xml_bytes
@@ -72,6 +72,7 @@ def fmu_variables(
     described = "Whether there is a measured displacement"
     yield Variable("measurement_valid", "MEASUREMENT_VALID", "boolean", "input", "discrete", described)
     yield _parameter("displacement_start", "Displacement at the start", unit, start)
+    # A covariate has the name of a column, of which C takes some letters only.
     names = identifiers(model.covariates)
     for name, covariate, mean in zip(names, model.covariates, model.mean_load, strict=True):
         described = f"{covariate} before motion; its mean in the tests by default"
@@ -87,6 +88,7 @@ def fmu_variables(
             field.name, symbol, "real", "parameter", "tunable", described, tunable_unit, field.value
         )
     yield _output("displacement", "real", "Displacement", unit, start)
+    # A single direction is in charge from the beginning.
     mode = float(model.channels[0].command) if len(model.channels) == 1 else -1.0
     yield _output("mode", "integer", "Direction in charge: 0 lifting, 1 lowering, -1 none yet", "", mode)
     flags = "Sum of 1: command missing, 2: not measured, 4: both valves, 8: restarted"
@@ -112,38 +114,32 @@ Version = Literal["fmi2", "fmi3"]
 Element = ElementTree.Element
 
 
-class BaseUnit(NamedTuple):
-    """A unit in SI units: factor, and exponents of kg, m, s, A, K and rad."""
-
-    factor: float
-    exponents: dict[str, int]
-
-
 _LENGTH, _PRESSURE = {"m": 1}, {"kg": 1, "m": -1, "s": -2}
 _VOLTAGE = {"kg": 1, "m": 2, "s": -3, "A": -1}
-BASE_UNITS = {
-    "m": BaseUnit(1.0, _LENGTH),
-    "cm": BaseUnit(1e-2, _LENGTH),
-    "mm": BaseUnit(1e-3, _LENGTH),
-    "um": BaseUnit(1e-6, _LENGTH),
-    "in": BaseUnit(0.0254, _LENGTH),
-    "rad": BaseUnit(1.0, {"rad": 1}),
-    "deg": BaseUnit(pi / 180, {"rad": 1}),
-    "s": BaseUnit(1.0, {"s": 1}),
-    "A": BaseUnit(1.0, {"A": 1}),
-    "mA": BaseUnit(1e-3, {"A": 1}),
-    "V": BaseUnit(1.0, _VOLTAGE),
-    "mV": BaseUnit(1e-3, _VOLTAGE),
-    "Pa": BaseUnit(1.0, _PRESSURE),
-    "kPa": BaseUnit(1e3, _PRESSURE),
-    "MPa": BaseUnit(1e6, _PRESSURE),
-    "bar": BaseUnit(1e5, _PRESSURE),
-    "percent": BaseUnit(1e-2, {}),
-    "1": BaseUnit(1.0, {}),
-    "K": BaseUnit(1.0, {"K": 1}),
-    "N": BaseUnit(1.0, {"kg": 1, "m": 1, "s": -2}),
-    "kN": BaseUnit(1e3, {"kg": 1, "m": 1, "s": -2}),
-    "rpm": BaseUnit(pi / 30, {"s": -1, "rad": 1}),
+# Unit to its factor in SI units, and the exponents of kg, m, s, A, K and rad.
+BASE_UNITS: dict[str, tuple[float, dict[str, int]]] = {
+    "m": (1.0, _LENGTH),
+    "cm": (1e-2, _LENGTH),
+    "mm": (1e-3, _LENGTH),
+    "um": (1e-6, _LENGTH),
+    "in": (0.0254, _LENGTH),
+    "rad": (1.0, {"rad": 1}),
+    "deg": (pi / 180, {"rad": 1}),
+    "s": (1.0, {"s": 1}),
+    "A": (1.0, {"A": 1}),
+    "mA": (1e-3, {"A": 1}),
+    "V": (1.0, _VOLTAGE),
+    "mV": (1e-3, _VOLTAGE),
+    "Pa": (1.0, _PRESSURE),
+    "kPa": (1e3, _PRESSURE),
+    "MPa": (1e6, _PRESSURE),
+    "bar": (1e5, _PRESSURE),
+    "percent": (1e-2, {}),
+    "1": (1.0, {}),
+    "K": (1.0, {"K": 1}),
+    "N": (1.0, {"kg": 1, "m": 1, "s": -2}),
+    "kN": (1e3, {"kg": 1, "m": 1, "s": -2}),
+    "rpm": (pi / 30, {"s": -1, "rad": 1}),
 }
 TYPES = {
     "fmi2": {"real": "Real", "integer": "Integer", "boolean": "Boolean"},
@@ -185,9 +181,9 @@ def model_description(
     for unit in units:
         defined = ElementTree.SubElement(definitions, "Unit", {"name": unit})
         if unit in BASE_UNITS:
-            base = BASE_UNITS[unit]
-            exponents = {symbol: str(exponent) for symbol, exponent in base.exponents.items()}
-            ElementTree.SubElement(defined, "BaseUnit", {**exponents, "factor": repr(base.factor)})
+            factor, exponents = BASE_UNITS[unit]
+            texts = {symbol: str(exponent) for symbol, exponent in exponents.items()}
+            ElementTree.SubElement(defined, "BaseUnit", {**texts, "factor": repr(factor)})
     categories = ElementTree.SubElement(root, "LogCategories")
     ElementTree.SubElement(categories, "Category", {"name": "logStatusError"})
     ElementTree.SubElement(root, "DefaultExperiment", {"startTime": "0", "stepSize": repr(step_s)})
@@ -226,12 +222,6 @@ def _interface(kind: str, name: str, sources: Sequence[str], step_s: float, *, i
     return element
 
 
-def _value(variable: Variable) -> str:
-    if variable.kind == "boolean":
-        return "true" if variable.start else "false"
-    return str(round(variable.start)) if variable.kind == "integer" else repr(variable.start)
-
-
 def _variable(reference: int, variable: Variable, *, is_2: bool) -> Element:
     attributes = {
         "name": variable.name,
@@ -244,7 +234,9 @@ def _variable(reference: int, variable: Variable, *, is_2: bool) -> Element:
         attributes["initial"] = "calculated" if variable.causality == "output" else "exact"
     typed = {"unit": variable.unit} if variable.unit else {}
     if variable.causality not in ("output", "independent"):
-        typed["start"] = _value(variable)
+        # No integer is an input or a parameter.
+        boolean = "true" if variable.start else "false"
+        typed["start"] = boolean if variable.kind == "boolean" else repr(variable.start)
     if not is_2:
         return Element(TYPES["fmi3"][variable.kind], attributes | typed)
     element = Element("ScalarVariable", attributes)

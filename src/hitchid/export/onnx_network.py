@@ -46,10 +46,10 @@ def to_onnx(model: Hitch, folder: str | Path, *, name: str = "hitch", force: boo
         ParityError: onnxruntime computes something else than the model.
         OutputError: the folder exists, or cannot be written.
     """
-    place = checks.path(folder, "folder")
+    out = checks.path(folder, "folder")
     checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
     check_name(name)
-    check_folder(place, result_kind=MANIFEST, force=force)
+    check_folder(out, result_kind=MANIFEST, force=force)
     networks = {
         direction: channel.compensator
         for direction, channel in model.channels.items()
@@ -76,12 +76,12 @@ def to_onnx(model: Hitch, folder: str | Path, *, name: str = "hitch", force: boo
             "parity": parities,
         }
     )
-    write_folder(place, lambda target: write_files(target, files), result_kind=MANIFEST, force=force)
-    return Export(place, None, "", tuple(notices))
+    write_folder(out, lambda target: write_files(target, files), result_kind=MANIFEST, force=force)
+    return Export(out, None, "", tuple(notices))
 
 
 def _network(compensator: Compensator, name: str) -> "onnx.ModelProto":
-    """Return the graph of a compensator: (x − centre)/spread → LSTM → σ (w h + b)."""
+    """Return the graph of a compensator: (x − centre)/spread, in double, → LSTM, in single → σ (w h + b)."""
     try:
         from onnx import TensorProto, checker, helper, numpy_helper
     except ImportError as error:
@@ -164,6 +164,7 @@ def _verify(content: bytes, compensator: Compensator) -> dict[str, float] | None
             ["innovation", "h_next", "c_next"], {"features": row[None], "h": state[0], "c": state[1]}
         )
         outputs.append(np.asarray(output).item())
+    # In spreads: the innovation is in the displacement's unit, whatever that is.
     spread = abs(float(compensator.error_step)) or 1.0
     difference = float(np.max(np.abs(np.array(outputs) - np.array(expected)))) / spread
     if not difference <= TOLERANCE * max(1.0, float(np.max(np.abs(expected))) / spread):

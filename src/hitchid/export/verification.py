@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -56,14 +57,16 @@ class ReferenceRun:
     command_missing: np.ndarray
 
 
-def reference_runs(model: Hitch, samples: int, *, seed: int = SEED) -> tuple[ReferenceRun, ReferenceRun]:
+def reference_runs(model: Hitch, samples: int) -> tuple[ReferenceRun, ReferenceRun]:
     """Return a free run, and a run with measured displacements, each of a number of samples."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(SEED)
     commands = _commands(model, samples, rng)
     covariates = covariates_of(model.channels.values())
     # Beside the mean load, at which covariates change nothing that a run could show.
     load = tuple((mean_load(model.channels.values()) * 1.02).tolist()) if covariates else ()
-    start = _start(model)
+    covered = next(iter(model.channels.values())).operating_range.displacement
+    ends = float(covered.lowest), float(covered.highest)
+    start = ends[0] + START_SHARE * (ends[1] - ends[0]) if np.all(np.isfinite(ends)) else 100.0
     nothing = np.full(samples, np.nan)
     # The free run first: measured displacements are to be near what the model predicts.
     free = _run(model, start, load, np.column_stack([commands, nothing]))
@@ -94,6 +97,7 @@ def _commands(model: Hitch, samples: int, rng: np.random.Generator) -> Float[np.
     channels = tuple(model.channels.values())
     commands = np.zeros((samples, len(channels)))
     shortest, longest = (max(1, round(length / model.step_s)) for length in LEVEL_S)
+    # At least twenty levels, however fast the clock.
     longest = min(longest, max(shortest, samples // 20))
     largest = [
         channel.dead_zone + (highest if np.isfinite(highest) else max(channel.dead_zone, 1.0))
@@ -111,12 +115,6 @@ def _commands(model: Hitch, samples: int, rng: np.random.Generator) -> Float[np.
             commands[at : at + length] = 0.0
         at += length
     return commands
-
-
-def _start(model: Hitch) -> float:
-    covered = next(iter(model.channels.values())).operating_range.displacement
-    ends = float(covered.lowest), float(covered.highest)
-    return ends[0] + START_SHARE * (ends[1] - ends[0]) if np.all(np.isfinite(ends)) else 100.0
 
 
 def _run(
@@ -170,13 +168,13 @@ class Compiler:
         Raises:
             InputError: the compiler fails; its first message is shown.
         """
-        place = sources[0].parent
+        folder = sources[0].parent
         # Relative names: libraries for some platforms hold them, and must not depend on the folder.
-        names = [path.name if path.parent == place else str(path) for path in (*sources, out)]
+        names = [path.name if path.parent == folder else str(path) for path in (*sources, out)]
         arguments = [*self.command, *STANDARD, *options, "-o", names[-1], *names[:-1], "-lm"]
         # The sources are our own, the compiler is the user's.
         done = subprocess.run(  # noqa: S603
-            arguments, cwd=place, capture_output=True, text=True, timeout=COMPILE_TIMEOUT_S, check=False
+            arguments, cwd=folder, capture_output=True, text=True, timeout=COMPILE_TIMEOUT_S, check=False
         )
         if done.returncode:
             first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
@@ -188,35 +186,26 @@ class Compiler:
 def find_compiler() -> Compiler | None:
     """Return the compiler of `CC`, else the first of cc, gcc, clang and ziglang; None where there is none."""
     candidates = [shlex.split(os.environ.get("CC", ""))] + [[name] for name in COMMANDS]
-    candidates.append(zig() or [])
+    # Ziglang last: its first program takes a minute, that of a compiler of the system a moment.
+    candidates.append(list(zig.command) if (zig := zig_compiler()) else [])
     for candidate in candidates:
-        if candidate and (program := shutil.which(candidate[0])):
-            version = _version((program, *candidate[1:]))
-            if version:
-                return Compiler((program, *candidate[1:]), version)
+        if not candidate or not (program := shutil.which(candidate[0])):
+            continue
+        command = (program, *candidate[1:])
+        # One that is in the path may still not start.
+        with suppress(OSError, subprocess.SubprocessError):
+            done = subprocess.run(  # noqa: S603
+                [*command, "--version"], capture_output=True, text=True, timeout=COMPILE_TIMEOUT_S, check=True
+            )
+            if version := done.stdout.partition("\n")[0].strip():
+                return Compiler(command, version)
     return None
-
-
-def zig() -> list[str] | None:
-    """Return the command of ziglang's C compiler; None where the package is not installed."""
-    return [sys.executable, "-m", "ziglang", "cc"] if find_spec("ziglang") else None
 
 
 def zig_compiler() -> Compiler | None:
     """Return ziglang's compiler, which compiles for other platforms; None where it is not installed."""
-    command = zig()
-    return None if command is None else Compiler(tuple(command), "ziglang")
-
-
-def _version(command: Sequence[str]) -> str:
-    """Return the first line of a compiler's version; empty where it does not run."""
-    try:
-        done = subprocess.run(  # noqa: S603
-            [*command, "--version"], capture_output=True, text=True, timeout=COMPILE_TIMEOUT_S, check=True
-        )
-    except (OSError, subprocess.SubprocessError):
-        return ""
-    return done.stdout.partition("\n")[0].strip()
+    command = (sys.executable, "-m", "ziglang", "cc")
+    return Compiler(command, "ziglang") if find_spec("ziglang") else None
 
 
 COLUMNS = 4  # of a replay: displacement, mode, flags, half width
@@ -271,6 +260,7 @@ def tolerance_of(precision: Precision, error_steps: Sequence[float] | None, trav
     measured, free_run = ROUNDING[precision]
     if error_steps is None:
         return Tolerance(measured, free_run)
+    # Innovations are in units of their spread, whatever the hitch travels; the tolerance is of the range.
     innovation = INNOVATION_ROUNDING * max(error_steps, default=0.0) / travel_range
     return Tolerance(max(measured, NETWORK_ROUNDING[0], innovation), max(free_run, NETWORK_ROUNDING[1]))
 
@@ -290,10 +280,12 @@ def run_replay(
     Raises:
         ParityError: the program fails.
     """
+    # Binary: the code is compared to the last bits of a double.
     source, result = folder / "inputs.bin", folder / "outputs.bin"
     numbers = (np.ascontiguousarray(array, dtype="<f8").tobytes() for array in (head, inputs))
     source.write_bytes(b"".join(numbers))
     arguments = [*program, str(source), str(result)]
+    # Nothing of the user's environment: the model, and so its code, may be a stranger's.
     environment = {name: os.environ[name] for name in ("SYSTEMROOT",) if name in os.environ}
     if os.name == "posix":
         arguments = [sys.executable, "-I", "-S", str(CONFINED), str(folder), *arguments]
@@ -348,8 +340,8 @@ def verify(
         ParityError: the differences are larger than rounding explains.
         InputError: the compiler fails.
     """
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
         program = folder / "replay"
         compiler.compile(sources, program)
         free, measured = (replay([str(program)], run, folder) for run in runs)

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from hitchid.fleet.row import DriftRow as DriftRow
     from hitchid.fleet.row import Row as Row
     from hitchid.fleet.row import ValidationRow as ValidationRow
-    from hitchid.fleet.run import FleetProgress as FleetProgress
-    from hitchid.fleet.run import FleetResult as FleetResult
-    from hitchid.fleet.run import Runner as Runner
+    from hitchid.fleet.runners import FleetProgress as FleetProgress
+    from hitchid.fleet.runners import FleetResult as FleetResult
+    from hitchid.fleet.runners import Runner as Runner
     from hitchid.fleet.store import Store as Store
     from hitchid.fleet.store import StoreError as StoreError
 
@@ -34,7 +34,7 @@ _NAMES = {
     "ledger": ("load_model", "newest", "read_rows"),
     "parameters": ("Metadata", "read_metadata"),
     "row": ("Cost", "DirectionRow", "DriftRow", "Row", "ValidationRow"),
-    "run": ("FleetProgress", "FleetResult", "Runner"),
+    "runners": ("FleetProgress", "FleetResult", "Runner"),
     "store": ("Store", "StoreError"),
 }
 _HOME = {name: module for module, names in _NAMES.items() for name in names}

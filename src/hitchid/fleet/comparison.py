@@ -56,10 +56,11 @@ def comparison_tables(comparison: "FleetComparison") -> dict[str, DataTable]:
 
     `estimate`, `deviation`, slopes and their ends are of the logarithm where the column `logarithm` is true.
     """
-    known = (cells.tolist() for cells in np.nonzero(~np.isnan(comparison.estimates)))
+    # `nonzero` goes by machine, then parameter: the order of the rows of the table.
+    indices = (cells.tolist() for cells in np.nonzero(~np.isnan(comparison.estimates)))
     lines: dict[str, Iterable[Mapping[str, Cell]]] = {
         "outliers": (_line(comparison, *cell) for cell in comparison.outliers.ranking),
-        "machines": (_line(comparison, *cell) for cell in zip(*known, strict=True)),
+        "machines": (_line(comparison, *cell) for cell in zip(*indices, strict=True)),
         "populations": _populations(comparison),
         "cohorts": _cohorts(comparison),
         "trends": _trend_rows(comparison),
@@ -70,6 +71,7 @@ def comparison_tables(comparison: "FleetComparison") -> dict[str, DataTable]:
         "not_compared": (left_out._asdict() for left_out in comparison.not_compared),
     }
     tables = {name: DataTable.of_rows(name, rows) for name, rows in lines.items()}
+    # An empty table keeps its header, so that whoever reads its file finds the columns.
     return {
         name: table if len(table) else DataTable(name, COLUMNS[name], ()) for name, table in tables.items()
     }
@@ -272,17 +274,15 @@ def compare_fleet(
     if not history:
         raise InputError("rows: got none, expected a row for at least one machine")
     last = newest(history)
+    # Before any statistics: a gain per ampere beside one per percent would be a machine that stands out.
     kinds = _commonest_kinds(last)
     compared = [row for row in last if any(_is_compared(row, kinds, direction) for direction in kinds)]
     estimates, covariances = _arrays(compared, kinds)
+    # A parameter that no machine has would be columns of NaN in every table and figure.
     present = np.flatnonzero(np.any(~np.isnan(estimates), axis=0))
-    parameters = [
-        FleetParameter(direction, name, kind.unit(name))
-        for direction, kind in kinds.items()
-        for name in NAMES
-    ]
+    every = [FleetParameter(mode, name, kind.unit(name)) for mode, kind in kinds.items() for name in NAMES]
+    parameters = tuple(every[index] for index in present)
     estimates, covariances = selected(estimates, covariances, present)
-    parameters = tuple(parameters[index] for index in present)
     machines = tuple(row.machine for row in compared)
     hierarchies = hierarchies_of(parameters, estimates, covariances)
     columns = {} if metadata is None else metadata.of(machines)
@@ -370,7 +370,7 @@ def _trends(
     dated: dict[tuple[str, str], Row] = {}
     for row in history:
         if row.state != FAILED and row.date and row.machine in numbers:
-            dated[row.machine, row.date] = row
+            dated[row.machine, row.date] = row  # one result of a date: the same logs give no trend
     dates = Counter(machine for machine, _ in dated)
     rows = [row for row in dated.values() if dates[row.machine] > 1]
     if not rows:

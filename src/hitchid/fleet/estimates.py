@@ -61,6 +61,7 @@ def _correlation(information: Information | None, gain: Estimate, gain_error: fl
         return 0.0
     number = information.names.index(gain.name)
     variance = information.dead_zone_covariance[number][number] * information.slopes[number] ** 2
+    # Both errors are estimates, so that their ratio may exceed one.
     return float(min(np.sqrt(max(variance, 0.0)) / gain.value / gain_error, 1.0))
 
 

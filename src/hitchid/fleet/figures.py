@@ -46,6 +46,7 @@ def draw_machine_intervals(
 ) -> None:
     """Draw the value of each machine with its interval, the first one at the top; NaN where missing."""
     rows = np.arange(len(values))
+    # Those that stand out last, on top of the others.
     for verdict in (ALIKE, LOWER, HIGHER):
         _, marker, colour, _ = VERDICTS[verdict]
         outlying = verdict in (LOWER, HIGHER)
@@ -58,13 +59,13 @@ def draw_machine_intervals(
 
 def draw_quantiles(axes: Axes, values: Float[np.ndarray, " n"], row: int) -> None:
     """Draw 95 % and half of some values as a thin and a thick line, and their median, in one row."""
-    known = values[~np.isnan(values)]
-    if not known.size:
+    present = values[~np.isnan(values)]
+    if not present.size:
         return
-    (low, high), (first, third) = np.quantile(known, OUTER), np.quantile(known, INNER)
+    (low, high), (first, third) = np.quantile(present, OUTER), np.quantile(present, INNER)
     axes.hlines([row], low, high, color=INK, linewidth=INTERVAL_WIDTH)
     axes.hlines([row], first, third, color=INK, linewidth=4 * INTERVAL_WIDTH)
-    axes.plot([np.median(known)], [row], "|", color=INK, markersize=9)
+    axes.plot([np.median(present)], [row], "|", color=INK, markersize=9)
 
 
 def ellipse(
@@ -92,10 +93,10 @@ def draw_machine_points(
     ):
         if of_it.any():
             axes.plot(x[of_it], y[of_it], marker, color=colour, markersize=size, label=label)
-    place = np.stack([x / (np.ptp(x) or 1.0), y / (np.ptp(y) or 1.0)])
+    scaled = np.stack([x / (np.ptp(x) or 1.0), y / (np.ptp(y) or 1.0)])
     written: list[int] = []
     for index in [index for index, name in enumerate(names) if name]:
-        distances = np.abs(place[:, written] - place[:, [index]])
+        distances = np.abs(scaled[:, written] - scaled[:, [index]])
         if not np.any(np.all(distances < np.array(NAME_SHARE)[:, None], axis=0)):
             written.append(index)
             at = (x[index], y[index])
@@ -123,6 +124,7 @@ def shown_machines(comparison: FleetComparison) -> tuple[list[int], list[int]]:
     others = [machine for machine in range(len(comparison.machines)) if machine not in set(first)]
     if len(comparison.machines) <= MOST_ROWS:
         return first + others, []
+    # More rows cannot be read on a page; the others are drawn as quantiles.
     return first[:MOST_ROWS], first[MOST_ROWS:] + others
 
 
@@ -243,6 +245,7 @@ def _with_both(comparison: FleetComparison, direction: str) -> np.ndarray:
     has_both = ~np.isnan(comparison.estimates[:, columns]).any(axis=1)
     outlying = np.any(comparison.outliers.named[:, columns], axis=1)
     alike = np.flatnonzero(has_both & ~outlying)
+    # Each k-th, not a random choice: equal comparisons give equal pictures.
     every = max(1, -(-alike.size // MOST_POINTS))
     return np.sort(np.concatenate([np.flatnonzero(has_both & outlying), alike[::every]]))
 
@@ -280,7 +283,7 @@ def verdict_rows(comparison: FleetComparison) -> tuple[list[str], Int[np.ndarray
     """Return the machines on the map of verdicts and their verdicts."""
     failed = [row.machine for row in comparison.failed]
     if len(comparison.machines) + len(failed) > MOST_ROWS:
-        failed = []
+        failed = []  # the report lists them by cause
     shown = shown_machines(comparison)[0]
     identified = verdict_codes(comparison)[shown]
     absent = np.full((len(failed), len(comparison.parameters)), FAILED)
@@ -312,10 +315,12 @@ def _fan_panel(axes: Axes, comparison: FleetComparison, direction: str) -> None:
     highest = COMMAND_FACTOR * median if median > 0 else 1.0
 
     def line(gain: float, dead_zone: float) -> list[tuple[float, float]]:
+        # A dead zone beyond the axis must not give a line that runs back.
         end = max(highest, dead_zone)
         return [(0.0, 0.0), (dead_zone, 0.0), (end, gain * (end - dead_zone))]
 
     many = [line(*pair) for pair in zip(gains.tolist(), dead_zones.tolist(), strict=True)]
+    # Fainter where there are more, so that a thousand lines are no area.
     opacity = float(np.clip(OPAQUE_LINES / max(1, len(many)), LEAST_ALPHA, 1.0))
     axes.add_collection(
         LineCollection(many, colors=FAINT, linewidths=LINE_WIDTH, alpha=opacity, label="all machines")
@@ -324,7 +329,7 @@ def _fan_panel(axes: Axes, comparison: FleetComparison, direction: str) -> None:
     for style, machine in enumerate(_ranked_by_speed(comparison)):
         dead_zone, gain = _in_units(comparison.estimates[machine, columns][:, None])[:, 0]
         if named[machine] and np.isfinite(dead_zone + gain):
-            is_further = style >= len(STYLES)
+            is_further = style >= len(STYLES)  # more than one can tell apart
             colour, dashes, _ = FURTHER if is_further else STYLES[style]
             name = short_name(comparison.machines[machine])
             label = "further ones that stand out" if is_further else name

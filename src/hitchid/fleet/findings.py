@@ -25,6 +25,7 @@ def fleet_findings(comparison: FleetComparison) -> tuple[Finding, ...]:
         ("cohorts", _cohort_sentences(comparison)),
     ):
         texts = list(sentences)
+        # A verdict of a hundred sentences is none; the tables have all.
         if (more := len(texts) - MOST_SENTENCES) > 0:
             texts[MOST_SENTENCES:] = [f"{more} more: see the table of {table}."]
         findings += [Finding(Rating.CAUTION, text) for text in texts]
@@ -40,6 +41,7 @@ def _how_many(comparison: FleetComparison) -> Finding:
     count, all_machines = len(comparison.standing_out), len(comparison.machines)
     if not all_machines:
         return Finding(Rating.BAD, "No machine is compared.")
+    # "None stands out" would be praise that no test has earned.
     if np.all(np.isnan(comparison.outliers.p_value)):
         machines = numbers.count(all_machines, "machine")
         return Finding(Rating.CAUTION, f"{machines} with a model, too few for one to stand out.")
@@ -126,7 +128,7 @@ def _trend_sentences(comparison: FleetComparison) -> Iterator[str]:
     for machine, column in trends.ranking:
         cell = int(np.flatnonzero(trends.machines == machine)[0]), column
         if not trends.q_values[cell] <= comparison.false_discovery_rate:
-            return
+            return  # the ranking goes by p-value, as q does
         parameter = comparison.parameters[column]
         slope, lower, upper = differences(parameter, cell, trends.slopes, trends.lower, trends.upper)
         verb = "rises" if slope > 0 else "falls"

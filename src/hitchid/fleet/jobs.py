@@ -16,7 +16,7 @@ from hitchid._support.precision import double_precision
 from hitchid.errors import InputError
 from hitchid.fleet.ledger import MODEL_FILE, load_model, model_name, newest, read_rows
 from hitchid.fleet.row import DONE, DirectionRow, DriftRow, Row, TaskRow, ValidationRow
-from hitchid.fleet.run import LOCAL, FleetProgress, FleetResult, Runner, run_fleet
+from hitchid.fleet.runners import LOCAL, FleetProgress, FleetResult, Runner, run_fleet
 from hitchid.fleet.store import Store
 from hitchid.fleet.task import Job
 from hitchid.live.parameters import changed_benchmark
@@ -96,6 +96,7 @@ class ValidationJob(Job[ValidationRow]):
     def stamp(self, machine: str) -> str:
         """Return a digest of the model and of the versions."""
         row = self.identified.get(machine)
+        # A model that was identified again asks for another validation of the same logs.
         content = {"model": None if row is None else row.key, "versions": installed_versions()}
         return digest(canonical_json(content))
 
@@ -122,6 +123,7 @@ class ValidationJob(Job[ValidationRow]):
             for finding in audit(campaign)
             if finding.severity is Severity.FAULT
         )
+        # As identification takes them: its errors in free run begin at rest.
         campaign, _ = from_rest(campaign)
         if not campaign.directions:
             campaign = campaign.segmented(model.dead_zones)
@@ -206,12 +208,14 @@ def drift_of(channel: Channel, records: Sequence[Record], identified: DirectionR
     errors = (np.asarray(batch.displacement) - np.asarray(channel.simulate(batch)))[mask]
     rmse, before = float(np.sqrt(np.mean(errors**2))), identified.held_out_rmse or identified.rmse
     tests = len(records)
+    # Few tests do not tell a change from the scatter between them; the error in free run they do.
     unchanged = DriftRow(None, None, None, None, None, rmse, before, tests)
     if tests < MIN_TESTS:
         return unchanged
     theta, covariance = fit_change(channel, records)
     errors = np.array([identified.gain_error or 0.0, identified.dead_zone_error])
     correlation = np.array([[1.0, identified.correlation], [identified.correlation, 1.0]])
+    # What the identification did not know of its own parameters is no drift.
     covariance = covariance + np.outer(errors, errors) * correlation
     deviations = np.sqrt(np.diag(covariance))
     p_value = None
@@ -247,6 +251,7 @@ def fit_change(channel: Channel, records: Sequence[Record]) -> Change:
     theta = np.zeros(PARAMETERS)
     for _ in range(STEPS):
         theta = theta + _step(errors_at, theta, prior, scale)[0]
+    # Once more at the solution: the covariance is that of its derivatives, not of those a step before.
     _, normal, scores = _step(errors_at, theta, prior, scale)
     inverse, tests = np.linalg.inv(normal), len(records)
     return Change(theta, tests / (tests - PARAMETERS) * inverse @ scores.T @ scores @ inverse)
@@ -301,6 +306,7 @@ def identification_job(logs: str, results: str, settings: "Settings") -> Identif
     """
     from hitchid.identification import Settings, stamp_of
 
+    # Rivals take longer than the model, and a fleet compares machines, not methods.
     chosen: Settings = {"rivals": None, **settings}
     if "structure" in chosen:
         chosen["structure"] = dict(chosen["structure"])  # goes to other processes

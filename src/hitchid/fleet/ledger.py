@@ -59,7 +59,7 @@ def parquet(table: "DataTable") -> bytes:
         from pyarrow.parquet import write_table
     except ImportError as error:
         raise InputError("pyarrow is required for fleets: pip install 'hitchid[fleet]'") from error
-    columns = {name: [row[place] for row in table.rows] for place, name in enumerate(table.columns)}
+    columns = {name: [row[index] for row in table.rows] for index, name in enumerate(table.columns)}
     with TemporaryDirectory() as folder:
         path = Path(folder) / PARQUET_FILE
         write_table(pa.table(columns), path)
@@ -103,6 +103,7 @@ def read_rows(
     rows = []
     for name, content in store.read_many(chosen, most=MAX_BYTES + 1).items():
         row = row_type.from_json(content, name)
+        # A row that was copied to another machine would make it one that is done.
         if name != row_name(row.machine, row.signature):
             raise InputError(f"{name}: is the row of {row.machine}, {row.signature}; expected its own place")
         rows.append(row)
@@ -111,6 +112,7 @@ def read_rows(
 
 def newest(rows: Iterable[OneRow]) -> tuple[OneRow, ...]:
     """Return the last row of each machine; of several of one date, one that did not fail."""
+    # The signature last: rows of one date come in the same order whoever lists them.
     ordered = sorted(rows, key=lambda row: (row.machine, row.date, row.state != FAILED, row.signature))
     return tuple({row.machine: row for row in ordered}.values())
 
@@ -129,5 +131,6 @@ def load_model(store: Store, row: Row, folder: Path) -> Path:
     target.mkdir(parents=True, exist_ok=True)
     files = store.below(name).files()
     for file, content in store.read_many([f"{name}/{file.name}" for file in files]).items():
+        # The name alone: a store of another's making must not write beside the folder.
         (target / Path(file).name).write_bytes(content)
     return target

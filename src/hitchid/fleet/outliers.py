@@ -90,13 +90,15 @@ def compare_cohorts(
 def _effects(name: str, column: Column, values: np.ndarray, variances: np.ndarray) -> Iterator[CohortEffect]:
     numeric = not any(isinstance(cell, str) for cell in column)
     for parameter in range(values.shape[1]):
-        known = ~np.isnan(values[:, parameter])
-        labels, design, known = _slope(column, known) if numeric else _categories(column, known)
-        machines = int(known.sum())
+        compared = ~np.isnan(values[:, parameter])
+        # Parameters lack different machines, so that each has categories and a design of its own.
+        labels, design, compared = _slope(column, compared) if numeric else _categories(column, compared)
+        machines = int(compared.sum())
         coefficients = design.shape[1]
         if coefficients < 2 or machines < coefficients + FEWEST_LEFT or np.linalg.matrix_rank(design) < 2:
-            continue
-        beta, covariance, freedom = _regression(values[known, parameter], variances[known, parameter], design)
+            continue  # no effect, or one without a test
+        own = values[compared, parameter], variances[compared, parameter]
+        beta, covariance, freedom = _regression(*own, design)
         tested = np.eye(coefficients)[1:] - (0 if numeric else np.eye(coefficients)[0])
         difference = tested @ beta
         squares = difference @ np.linalg.solve(tested @ covariance @ tested.T, difference)
@@ -108,21 +110,22 @@ def _effects(name: str, column: Column, values: np.ndarray, variances: np.ndarra
         yield CohortEffect(name, parameter, labels, machines, tuple(beta[shown].tolist()), intervals, p_value)
 
 
-def _slope(column: Column, known: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+def _slope(column: Column, compared: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
     """Return no labels, the columns one and number about its mean, and which machines are compared."""
     numbers = np.array([np.nan if cell is None else cell for cell in column], float)
-    known = known & np.isfinite(numbers)
-    centred = numbers[known] - (numbers[known].mean() if known.any() else 0.0)
-    return (), np.stack([np.ones_like(centred), centred], axis=1), known
+    compared = compared & np.isfinite(numbers)
+    # About its mean, so that slope and mean do not depend on each other.
+    centred = numbers[compared] - (numbers[compared].mean() if compared.any() else 0.0)
+    return (), np.stack([np.ones_like(centred), centred], axis=1), compared
 
 
-def _categories(column: Column, known: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+def _categories(column: Column, compared: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
     """Return the categories, their indicators, and which machines are compared."""
     texts = np.array([cell if isinstance(cell, str) else "" for cell in column])
-    names, counts = np.unique(texts[known & (texts != "")], return_counts=True)
+    names, counts = np.unique(texts[compared & (texts != "")], return_counts=True)
     labels = tuple(names[counts >= FEWEST_IN_COHORT].tolist())
-    known = known & np.isin(texts, labels)
-    return labels, (texts[known, None] == np.array(labels, texts.dtype)).astype(float), known
+    compared = compared & np.isin(texts, labels)
+    return labels, (texts[compared, None] == np.array(labels, texts.dtype)).astype(float), compared
 
 
 def _regression(
@@ -132,6 +135,7 @@ def _regression(
     fit = fit_random_effects(values, variances, design, np.ones((1, len(values)), bool))
     constants = normal_constants()
     beta = fit.coefficients[0]
+    # Knapp & Hartung: what scatters more than τ² and the errors explain widens the intervals, never less.
     squared = (values - design @ beta) ** 2 / (variances + fit.between[0])
     left = len(values) - len(beta)
     scatter = np.minimum(squared, constants.clip).sum() / constants.consistency / left
@@ -179,7 +183,7 @@ class FleetTrends(Value):
         """Machine and parameter of each slope, smallest p-value first."""
         rows, parameters = np.nonzero(~np.isnan(self.p_values))
         order = np.argsort(self.p_values[rows, parameters], kind="stable")
-        return tuple((int(self.machines[rows[each]]), int(parameters[each])) for each in order)
+        return tuple((int(self.machines[rows[cell]]), int(parameters[cell])) for cell in order)
 
 
 def fit_trends(
@@ -241,19 +245,22 @@ def _lines(
     row, times, values = row[present], times[present], values[present]
     precision = 1 / variances[present]
 
-    def total(each: np.ndarray) -> np.ndarray:
-        return np.bincount(row, each, machines)
+    def total(terms: np.ndarray) -> np.ndarray:
+        return np.bincount(row, terms, machines)
 
     with np.errstate(invalid="ignore", divide="ignore"):
         weight = total(precision)
         centred = times - (total(precision * times) / weight)[row]
         spread = total(precision * centred**2)
+        # Rounding may leave a single time some distance from its own mean, and with it a slope.
         spread[total(np.ones_like(values)) < 2] = 0.0
         slopes = np.where(spread > 0, total(precision * centred * values) / spread, np.nan)
         residuals = values - (total(precision * values) / weight)[row] - slopes[row] * centred
         leverage = precision * (1 / weight[row] + centred**2 / spread[row])
+    # A point that its line goes through, as each of two, says nothing of the scatter.
     free = (leverage < 1 - TOLERANCE) & ~np.isnan(residuals)
     freedom = float(np.sum(1 - leverage[free]))
+    # One factor for all machines: few results of each say little of its own scatter.
     factor = _scatter((residuals**2 * precision)[free] / (1 - leverage[free]))
     with np.errstate(divide="ignore"):
         slope_errors = np.where(spread > 0, np.sqrt(factor / spread), np.nan)
@@ -365,9 +372,11 @@ def find_outliers(
     p_value = 2 * stdtr(freedom, -np.abs(t))
     q_value = adjusted_p_values(p_value)
     named = q_value <= false_discovery_rate
+    # The wider the fewer are named: these are the largest of many deviations, which were selected.
     tests = max(1, int(np.sum(~np.isnan(p_value))))
     half_width = -ndtri(false_discovery_rate * max(1, int(named.sum())) / tests / 2) * error
     half_width[~named] = np.nan
+    # As if it were the only one named: the first of m tests has to pass q/m.
     threshold = -stdtrit(freedom, false_discovery_rate / tests / 2)
     return Outliers(
         deviation,
@@ -385,6 +394,7 @@ def find_outliers(
 
 def _beside_the_others(values: np.ndarray, variances: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return deviation, its error, predictive standard deviation and degrees of freedom of each machine."""
+    # A machine must not be in the mean that it is compared with: it would hide itself.
     fold = np.arange(len(values)) % min(FOLDS, len(values))
     fit = fit_random_effects(values, variances, np.ones((len(values), 1)), fold != np.unique(fold)[:, None])
     mean, mean_variance = fit.coefficients[fold, 0], fit.covariance[fold, 0, 0]

@@ -70,6 +70,7 @@ def read_metadata(path: str | Path) -> Metadata:
             length, or a machine twice.
     """
     source = str(path)
+    # Through a store, so that the table may lie beside the logs in a bucket.
     folder, _, name = (
         source.rpartition("/") if "://" in source else (str(Path(source).parent), "", Path(source).name)
     )
@@ -77,6 +78,7 @@ def read_metadata(path: str | Path) -> Metadata:
     if not store.has(name):
         raise InputError(f"{source}: does not exist; expected a CSV file with a column '{MACHINE}'")
     try:
+        # A spreadsheet writes a byte order mark, and empty lines at the end.
         text = store.read(name).decode("utf-8-sig")
         header, *lines = [line for line in csv.reader(StringIO(text), strict=True) if any(line)] or [[]]
     except (UnicodeDecodeError, csv.Error) as error:
@@ -196,6 +198,7 @@ def estimates_of_row(figures: DirectionRow) -> tuple[Float[np.ndarray, " 4"], Fl
     """
     scatter, half_freedom = figures.load_scatter, (figures.tests - 1) / 2
     log_scatter, scatter_error = np.nan, None
+    # Of few tests the logarithm is skewed: a tail of small scatters would be machines that stand out.
     if scatter is not None and scatter > 0 and figures.tests >= FEWEST_TESTS:
         log_scatter = np.log(PERCENT * scatter) - (digamma(half_freedom) - np.log(half_freedom)) / 2
         scatter_error = float(np.sqrt(polygamma(1, half_freedom))) / 2

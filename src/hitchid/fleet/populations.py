@@ -45,21 +45,12 @@ class Estimates(NamedTuple):
     consistency: Float[np.ndarray, " n"]
 
 
-class JointPopulation(NamedTuple):
-    """Mean μ, shape [P], covariance between machines Σ, shape [P, P], weight of each machine, shape [N]."""
-
-    mean: Float[np.ndarray, " p"]
-    between: Float[np.ndarray, "p p"]
-    weights: Float[np.ndarray, " n"]
-
-
-def estimates_of(
-    values: Float[np.ndarray, "n p"], covariances: Float[np.ndarray, "n p p"], *, robust: bool
-) -> Estimates:
-    """Return estimates that are NaN where missing without gaps; not `robust`: every machine counts fully."""
+def estimates_of(values: Float[np.ndarray, "n p"], covariances: Float[np.ndarray, "n p p"]) -> Estimates:
+    """Return estimates that are NaN where missing without gaps."""
     present = ~np.isnan(values)
     pairs = present[:, :, None] & present[:, None, :]
-    constants = [constants_of(int(number), robust=robust) for number in present.sum(axis=1)]
+    # A machine that lacks a parameter is nearer to the mean: its distance has fewer degrees of freedom.
+    constants = [constants_of(int(number)) for number in present.sum(axis=1)]
     return Estimates(
         np.where(present, values, 0.0),
         np.where(pairs, covariances, np.eye(values.shape[1])),
@@ -74,15 +65,17 @@ def precisions(estimates: Estimates, between: Float[np.ndarray, "*n p p"]) -> Fl
     return np.linalg.inv(estimates.errors + estimates.pairs * between) * estimates.pairs
 
 
-def fit_population(estimates: Estimates, deviations: Float[np.ndarray, " p"]) -> JointPopulation:
-    """Return mean and covariance between machines: Σ = L Lᵀ for fixed weights and the weights, in turn.
+def _fit(estimates: Estimates, deviations: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return μ [P], Σ [P, P] and the weights [N]: Σ = L Lᵀ for fixed weights and the weights, in turn.
 
     The parameters are scaled to a variance of about one; the search starts at deviations above zero.
     """
     size = len(deviations)
+    # A triangle L keeps Σ = L Lᵀ a covariance wherever the search goes.
     elements = np.diag(deviations)[np.tril_indices(size)]
     on_diagonal = np.equal(*np.tril_indices(size))
     weight = _weights(estimates, _lower(elements, size), np.ones(len(estimates.values)))
+    # The gradient is that of fixed weights, which follow after each search.
     for _ in range(REWEIGHTINGS):
         # A standard deviation of exactly zero has no gradient: the search could not leave it.
         elements = np.where(on_diagonal & (np.abs(elements) < NO_SPREAD), NO_SPREAD, elements)
@@ -100,10 +93,11 @@ def fit_population(estimates: Estimates, deviations: Float[np.ndarray, " p"]) ->
             break
     lower = _lower(elements, size)
     between = lower @ lower.T
-    is_zero = np.diagonal(between) <= 4 * NO_SPREAD**2  # a zero of the search
+    # What the lift from zero leaves would be shown as a spread that nobody has seen.
+    is_zero = np.diagonal(between) <= 4 * NO_SPREAD**2
     between[is_zero] = 0.0
     between[:, is_zero] = 0.0
-    return JointPopulation(_mean(estimates, precisions(estimates, between), weight), between, weight)
+    return _mean(estimates, precisions(estimates, between), weight), between, weight
 
 
 def _lower(elements: np.ndarray, size: int) -> np.ndarray:
@@ -186,9 +180,7 @@ class Hierarchy(Value):
         return np.sqrt(np.diagonal(self.between))
 
 
-def fit_hierarchy(
-    estimates: Float[np.ndarray, "n p"], covariances: Float[np.ndarray, "n p p"], *, robust: bool = True
-) -> Hierarchy:
+def fit_hierarchy(estimates: Float[np.ndarray, "n p"], covariances: Float[np.ndarray, "n p p"]) -> Hierarchy:
     """Return mean, spread and the values of the machines by restricted maximum likelihood.
 
     y = μ + b + e with b ~ N(0, Σ), e ~ N(0, S), V = S + Σ: μ and Σ minimise
@@ -198,7 +190,6 @@ def fit_hierarchy(
     Args:
         estimates: y of each machine, shape [N, P], NaN where missing.
         covariances: S of the errors, shape [N, P, P].
-        robust: False for plain restricted maximum likelihood, w = κ = 1.
 
     Raises:
         InputError: estimates that cannot be used, or a parameter with fewer than three machines.
@@ -213,59 +204,51 @@ def fit_hierarchy(
         raise InputError(
             f"estimates: parameter {parameter}: got {counts[parameter]} machines, expected at least {FEWEST}"
         )
-    marginals = [_marginal(values[:, p], errors[:, p, p], robust) for p in range(len(counts))]
+    # The search's limits are of parameters with a variance of about one, whatever their units.
+    marginals = [_marginal(values[:, p], errors[:, p, p]) for p in range(len(counts))]
     centre, scale, deviations, spreads = (np.array(column) for column in zip(*marginals, strict=True))
     squared_scale = np.outer(scale, scale)
-    scaled = estimates_of((values - centre) / scale, errors / squared_scale, robust=robust)
-    fit = fit_population(scaled, deviations)
-    population = JointPopulation(centre + scale * fit.mean, squared_scale * fit.between, fit.weights)
-    mean, estimated = population.mean, estimates_of(values, errors, robust=robust)
-    mean_factor = constants_of(len(counts), robust=robust).mean_factor
-    mean_covariance = mean_factor * np.linalg.inv(precisions(estimated, population.between).sum(axis=0))
-    machine_values, value_deviations = _machine_values(estimated, population, mean_covariance)
+    scaled = estimates_of((values - centre) / scale, errors / squared_scale)
+    scaled_mean, scaled_between, weight = _fit(scaled, deviations)
+    mean, between = centre + scale * scaled_mean, squared_scale * scaled_between
+    estimated, mean_factor = estimates_of(values, errors), constants_of(len(counts)).mean_factor
+    mean_covariance = mean_factor * np.linalg.inv(precisions(estimated, between).sum(axis=0))
+    # A machine that stands out has a wide Σ of its own, so that its values are hardly moved to the mean.
+    own = between / weight[:, None, None]
+    shrinkage = own @ precisions(estimated, own)
+    remaining = np.eye(len(mean)) - shrinkage
+    covariance = remaining @ own + remaining @ mean_covariance @ remaining.swapaxes(1, 2)
+    machine_values = mean + np.einsum("npq,nq->np", shrinkage, estimated.values - mean)
+    # Rounding may leave a variance of zero, of a machine without spread, below it.
+    value_deviations = np.sqrt(np.maximum(0.0, np.diagonal(covariance, axis1=1, axis2=2)))
     mean_deviations = np.sqrt(np.diagonal(mean_covariance))
     return Hierarchy(
         mean,
         mean_covariance,
         _interval(mean, stdtrit(counts - 1, (1 + LEVEL) / 2) * mean_deviations),
-        population.between,
+        between,
         spreads,
         machine_values,
         value_deviations,
         _interval(machine_values, ndtri((1 + LEVEL) / 2) * value_deviations),
-        population.weights,
+        weight,
     )
 
 
-def _marginal(
-    values: np.ndarray, variances: np.ndarray, robust: bool
-) -> tuple[float, float, float, tuple[float, float]]:
+def _marginal(values: np.ndarray, variances: np.ndarray) -> tuple[float, float, float, tuple[float, float]]:
     """Return mean, scale, scaled deviation between machines and its interval of one parameter on its own."""
     present = ~np.isnan(values)
     values, variances = values[present], variances[present]
     everything = np.ones((1, values.size), bool)
-    fit = fit_random_effects(values, variances, everything.T * 1.0, everything, robust=robust)
+    fit = fit_random_effects(values, variances, everything.T * 1.0, everything)
     between = float(fit.between[0])
     scale = float(np.sqrt(between + np.median(variances)))
-    interval = spread_interval(values, variances, robust=robust)
+    interval = spread_interval(values, variances)
     return float(fit.coefficients[0, 0]), scale, max(START, np.sqrt(between) / scale), interval
 
 
 def _interval(middle: np.ndarray, half_width: np.ndarray) -> np.ndarray:
     return np.stack([middle - half_width, middle + half_width], axis=-1)
-
-
-def _machine_values(
-    estimates: Estimates, population: JointPopulation, mean_covariance: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the best prediction of μ + b of each machine and its standard deviation, shape [N, P] each."""
-    own = population.between / population.weights[:, None, None]
-    shrinkage = own @ precisions(estimates, own)
-    remaining = np.eye(len(population.mean)) - shrinkage
-    covariance = remaining @ own + remaining @ mean_covariance @ remaining.swapaxes(1, 2)
-    residuals = estimates.values - population.mean
-    values = population.mean + np.einsum("npq,nq->np", shrinkage, residuals)
-    return values, np.sqrt(np.maximum(0.0, np.diagonal(covariance, axis1=1, axis2=2)))
 
 
 class Population(NamedTuple):
@@ -326,9 +309,9 @@ def populations_of(
             populations[column] = Population(
                 int(counts[column]),
                 mean,
-                _ends(fit.mean_interval[row]),
+                tuple(fit.mean_interval[row].tolist()),
                 float(fit.spread[row]),
-                _ends(fit.spread_interval[row]),
+                tuple(fit.spread_interval[row].tolist()),
                 (mean - half_width, mean + half_width),
             )
     return tuple(populations)
@@ -339,7 +322,3 @@ def selected(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return estimates and covariances of some of the parameters."""
     return estimates[:, columns], covariances[:, columns[:, None], columns]
-
-
-def _ends(interval: np.ndarray) -> tuple[float, float]:
-    return float(interval[0]), float(interval[1])

@@ -34,7 +34,7 @@ class NormalConstants(NamedTuple):
     mean_factor: float
 
 
-# Of plain REML, where no machine loses weight.
+# Of a machine without estimates: it has no distance and no share in any sum.
 PLAIN = NormalConstants(float(np.finfo(float).max), 1.0, 1.0, 1.0)
 
 
@@ -51,6 +51,7 @@ def normal_constants(parameters: int = 1) -> NormalConstants:
     from scipy.stats import chi2
 
     p = parameters
+    # The same share of sound machines loses weight, however many parameters there are.
     clip = float(chdtri(p, 1 - INSIDE))
     inside, inside_2, inside_4 = (float(chdtr(p + more, clip)) for more in (0, 2, 4))
     outside = 1 - inside
@@ -63,9 +64,9 @@ def normal_constants(parameters: int = 1) -> NormalConstants:
     return NormalConstants(clip, clipped / p, 2 * p * inside_2**2 / variance, squared_score * p / slope**2)
 
 
-def constants_of(parameters: int, *, robust: bool) -> NormalConstants:
-    """Return the constants for vectors of some length; the plain ones if not robust, or without a length."""
-    return normal_constants(parameters) if robust and parameters else PLAIN
+def constants_of(parameters: int) -> NormalConstants:
+    """Return the constants for vectors of some length; the plain ones without one."""
+    return normal_constants(parameters) if parameters else PLAIN
 
 
 def weights(squared: np.ndarray, clip: np.ndarray | float) -> np.ndarray:
@@ -81,18 +82,19 @@ LARGEST = 1e6  # upper end of the search, in sums of squares of the values; chos
 
 
 def spread_interval(
-    values: Float[np.ndarray, " n"], variances: Float[np.ndarray, " n"], *, robust: bool = True
+    values: Float[np.ndarray, " n"], variances: Float[np.ndarray, " n"]
 ) -> tuple[float, float]:
     """Return the 95 % interval of τ, in the parameter's unit.
 
     Its ends are where Q(τ²) = Σ min(z², c²)/κ, z² = (y − μ)²/(s² + τ²), is a quantile of its distribution:
-    ε Q ~ χ² with ε (n − 1) degrees of freedom, ε the efficiency of the robust variance (if not robust,
-    κ = ε = 1 without a limit c), of estimates y with variances s².
+    ε Q ~ χ² with ε (n − 1) degrees of freedom, ε the efficiency of the robust variance, of estimates y with
+    variances s².
 
     Source: Viechtbauer 2007, Confidence intervals for the amount of heterogeneity in meta-analysis.
     """
-    constants = constants_of(1, robust=robust)
+    constants = normal_constants()
     freedom = constants.efficiency * (values.size - 1)
+    # A bracket for the root: the spread that Q leaves is far below the values' own sum of squares.
     largest = LARGEST * float(np.sum((values - np.median(values)) ** 2) + np.max(variances))
 
     def end(tail: float) -> float:
@@ -101,6 +103,7 @@ def spread_interval(
         def excess(between: float) -> float:
             return constants.efficiency * _clipped_squares(values, variances + between, constants) - quantile
 
+        # The estimates scatter less than their errors explain: no spread is within the interval.
         if excess(0.0) <= 0:
             return 0.0
         solution = root_scalar(excess, bracket=(0.0, largest), method="brentq", rtol=MEAN_TOLERANCE)
@@ -131,6 +134,7 @@ def adjusted_p_values(p_values: Float[np.ndarray, "..."]) -> Float[np.ndarray, "
 
     Source: Benjamini & Hochberg 1995, Controlling the false discovery rate.
     """
+    # SciPy refuses NaN; and a pair that was not compared is no test that the others pay for.
     adjusted, tested = np.full(p_values.shape, np.nan), ~np.isnan(p_values)
     adjusted[tested] = false_discovery_control(p_values[tested])
     return adjusted
@@ -197,24 +201,22 @@ def fit_random_effects(
     variances: Float[np.ndarray, " n"],
     design: Float[np.ndarray, "n k"],
     selections: Bool[np.ndarray, "f n"],
-    *,
-    robust: bool = True,
 ) -> RandomEffects:
     """Return β and τ² of each selection of machines by restricted maximum likelihood with bounded influence.
 
     With V = s² + τ², z² = (y − X β)²/V and w = min(1, c²/z²): Σ w Xᵀ(y − X β)/V = 0 and
     Σ (w z²/κ − 1 + h)/V = 0, h the leverage; τ² = 0 where the second has no positive solution. Of estimates y
-    with variances s², design X (ones for a common mean) and more machines in each fit than columns of it;
-    without robustness w = κ = 1.
+    with variances s², design X (ones for a common mean) and more machines in each fit than columns of it.
 
     Source: Patterson & Thompson 1971; DerSimonian & Laird 1986; Richardson & Welsh 1995 (robust REML).
     """
-    constants = constants_of(1, robust=robust)
+    constants = normal_constants()
     beta, between = _start(values, variances, design, selections)
     weight = np.ones(selections.shape)
     damping, previous = np.ones(len(selections)), np.zeros(len(selections))
     for _ in range(ITERATIONS):
         total = variances + between[:, None]
+        # All selections at once: leaving out each machine of a fleet is two hundred fits.
         precision = selections / total
         squared = (values - beta @ design.T) ** 2 / total
         weight = weights(squared, constants.clip)
@@ -238,6 +240,7 @@ def _start(
     values: np.ndarray, variances: np.ndarray, design: np.ndarray, selections: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return β of the values without their extremes, and τ² of their median absolute deviation."""
+    # A plain mean would be dragged along by an outlier, by its distance over the number of machines.
     selected = np.where(selections, values, np.nan)
     centre = np.nanmedian(selected, axis=1)[:, None]
     spread = NORMAL_MAD * np.nanmedian(np.abs(selected - centre), axis=1)[:, None]

@@ -66,7 +66,7 @@ def fleet_report(comparison: FleetComparison, *, source: str, command: str = "")
         verdict=fleet_findings(comparison),
         notices=tuple(map(sentence, comparison.notices)),
         sections=tuple(_sections(comparison, command)),
-        summary=(_summary(comparison),) if comparison.machines else (),
+        summary=(_population_table(comparison, SUMMARY),) if comparison.machines else (),
         data=comparison_metrics(comparison),
         data_tables=comparison.tables,
     )
@@ -175,18 +175,12 @@ def _forest(comparison: FleetComparison, direction: str) -> Picture:
 
 def _columns(table: DataTable, direction: str = "") -> dict[str, list[Cell]]:
     """Return the columns of a table, of one direction where it is given."""
-    place = table.columns.index("direction")
-    rows = [row for row in table.rows if not direction or row[place] == direction]
+    index = table.columns.index("direction")
+    rows = [row for row in table.rows if not direction or row[index] == direction]
     return {name: [row[column] for row in rows] for column, name in enumerate(table.columns)}
 
 
 # Tables: machines that stand out, populations, cohorts, trends, failures, costs.
-
-
-def _summary(comparison: FleetComparison) -> Table:
-    full = _population_table(comparison)
-    columns = [full.header.index(name) for name in SUMMARY]
-    return Table(full.title, SUMMARY, tuple(tuple(row[column] for column in columns) for row in full.rows))
 
 
 def _outlier_table(comparison: FleetComparison) -> Table:
@@ -202,6 +196,7 @@ def _outlier_table(comparison: FleetComparison) -> Table:
         )
         error = float(np.sqrt(comparison.covariances[machine, column, column]))
         value = float(parameter.value(comparison.estimates[cell]))
+        # The error of a logarithm is relative.
         text = numbers.with_error(value, value * error if parameter.logarithmic else error)
         rows.append(
             (
@@ -216,9 +211,11 @@ def _outlier_table(comparison: FleetComparison) -> Table:
     return Table("Differences, most certain first", header, tuple(rows))
 
 
-def _population_table(comparison: FleetComparison) -> Table:
-    """Return mean and spread of each parameter over machines."""
-    header = ("parameter", "machines", "mean", "95 % interval", "spread", "95 % of the machines")
+POPULATION = ("parameter", "machines", "mean", "95 % interval", "spread", "95 % of the machines")
+
+
+def _population_table(comparison: FleetComparison, columns: tuple[str, ...] = POPULATION) -> Table:
+    """Return mean and spread of each parameter over machines, all columns or some."""
     rows = []
     for parameter, population in zip(comparison.parameters, comparison.populations, strict=True):
         values = (
@@ -228,8 +225,10 @@ def _population_table(comparison: FleetComparison) -> Table:
             _ends(parameter, population.prediction_interval),
         )
         shown = ("",) * len(values) if np.isnan(population.mean) else values
-        rows.append((_name(parameter), str(population.machines), *shown))
-    return Table("Distribution over machines", header, tuple(rows))
+        cells = (_name(parameter), str(population.machines), *shown)
+        row: dict[str, str] = dict(zip(POPULATION, cells, strict=True))
+        rows.append(tuple(row[column] for column in columns))
+    return Table("Distribution over machines", columns, tuple(rows))
 
 
 def _cohort_table(comparison: FleetComparison) -> Table:

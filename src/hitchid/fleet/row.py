@@ -137,6 +137,7 @@ class TaskRow:
         from hitchid.logs import describe_settings
 
         try:
+            # Before it is parsed: a row of gigabytes would end the process that reads it.
             if len(content) > MAX_BYTES:
                 raise ValueError(f"got more than {MAX_BYTES >> 20} MiB")
             row = _adapter(cls).validate_json(content)
@@ -148,12 +149,13 @@ class TaskRow:
 
     def check(self) -> None:
         """Check what the types do not: raises ValueError for other directions, or a date that is none."""
-        from hitchid.logs import DIRECTIONS
+        from hitchid.logs import DIRECTIONS  # imports NumPy, before which a worker takes its core
 
         for direction in self.directions:
             if direction not in DIRECTIONS:
                 raise ValueError(f"directions: got '{direction}', expected {' or '.join(DIRECTIONS)}")
         try:
+            # A trend takes seconds of it, which a date in the year 1 does not have.
             datetime.fromisoformat(self.date or "2000-01-01").timestamp()
         except (ValueError, OverflowError) as error:
             raise ValueError(f"date: got '{self.date}', expected one in ISO 8601") from error
@@ -203,7 +205,7 @@ class ValidationRow(TaskRow):
     @property
     def p_value(self) -> float:
         """Smallest p-value of a direction, for all directions together (Bonferroni); 1 without any."""
-        values = [each.p_value for each in self.directions.values() if each.p_value is not None]
+        values = [drift.p_value for drift in self.directions.values() if drift.p_value is not None]
         return min(1.0, len(values) * min(values)) if values else 1.0
 
 

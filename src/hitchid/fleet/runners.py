@@ -1,29 +1,29 @@
-"""Runner on the cores of this machine: one process a worker, each replaced where it dies."""
+"""Work on a fleet: the machines that have no row yet, by processes on this machine or by dask."""
 
 import logging
 import os
+import re
 import shutil
 import signal
 import tempfile
 import threading
+import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import TYPE_CHECKING, cast
+from typing import Generic, cast
 from urllib.parse import urlsplit
 
 from hitchid.errors import InputError, OutputError
-from hitchid.fleet.store import Machine
+from hitchid.fleet.ledger import TABLE_FILE, compact, newest, read_rows, row_name, rows_in
+from hitchid.fleet.row import FAILED, OneRow, TaskRow
+from hitchid.fleet.store import Machine, machines_of
 from hitchid.fleet.task import UNFINISHED, Acknowledgement, Job, prepare_worker, run_task
-
-if TYPE_CHECKING:
-    from distributed import Client
-
 
 # Runner on a cluster of dask.distributed, started here or reached by its address.
 
@@ -46,13 +46,27 @@ def run_on_cluster(
         InputError: dask.distributed is not installed, or the address is neither TLS nor on this machine.
     """
     try:
-        from distributed import as_completed
+        from distributed import Client, LocalCluster, as_completed
 
         from hitchid.fleet.one_core import OneCore
     except ImportError as error:
         raise InputError("dask.distributed is required: pip install 'hitchid[fleet]'") from error
 
-    with _client(workers, scheduler) as client:
+    with ExitStack() as stack:
+        target = None if scheduler is None else check_scheduler(scheduler)
+        if target is None:
+            cluster = LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",
+                memory_limit=0,  # workers bound their memory themselves
+                silence_logs=logging.CRITICAL,
+            )
+            target = stack.enter_context(cluster)
+        # Not the default client: the caller's own work with dask must not end up here.
+        client = stack.enter_context(Client(target, set_as_default=False))
         client.register_plugin(OneCore())
         on_page(str(client.dashboard_link))
         futures = {
@@ -60,7 +74,7 @@ def run_on_cluster(
                 partial(run_task, job.only(machine.name)),
                 machine,
                 key=f"{machine.name}-{machine.signature(job.stamp(machine.name))}",
-                pure=False,
+                pure=False,  # its result is what it writes
             ): machine
             for machine in machines
         }
@@ -72,7 +86,7 @@ def run_on_cluster(
                 if error is None
                 else Acknowledgement(machine.name, UNFINISHED, f"{type(error).__name__}: {error}")
             )
-            future.release()
+            future.release()  # or the scheduler keeps all of them to the end
 
 
 def check_scheduler(address: str) -> str:
@@ -89,29 +103,6 @@ def check_scheduler(address: str) -> str:
     )
 
 
-@contextmanager
-def _client(workers: int, scheduler: str | None) -> Iterator["Client"]:
-    from distributed import Client, LocalCluster
-
-    if scheduler is not None:
-        with Client(check_scheduler(scheduler), set_as_default=False) as client:
-            yield client
-        return
-    with (
-        LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",
-            memory_limit=0,  # workers bound their memory themselves
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        Client(cluster, set_as_default=False) as client,
-    ):
-        yield client
-
-
 REMOVALS = 10  # of a folder that is written meanwhile, until nothing more can be written in it; chosen
 KILL = 9  # the signal that ends a process when memory is short; Windows does not name it
 MAX_DEATHS = 3  # of workers on one machine, after which it is left unfinished; chosen, as in dask
@@ -122,6 +113,7 @@ def run_local(job: Job, machines: Sequence[Machine], workers: int) -> Iterator[A
 
     A machine whose worker died is given to another one; after three deaths it is left unfinished.
     """
+    # No pool of the standard library: one of its workers that is killed ends them all.
     waiting, deaths = deque(machines), Counter()
     crew: list[_Worker] = []
     try:
@@ -168,9 +160,10 @@ class _Worker:
             folder = tempfile.mkdtemp(prefix="hitchid-fleet-")
         except OSError as error:
             raise OutputError(f"no temporary folder can be made: {error}") from error
+        # Its folder is known here, so that it is removed though the process was killed.
         process = context.Process(target=_work, args=(theirs, folder), daemon=True)
         process.start()
-        theirs.close()
+        theirs.close()  # or the pipe would not end with the process
         worker = cls(process, cast("Connection", ours), folder)
         worker._send(job)
         return worker
@@ -229,3 +222,141 @@ def _end_with_parent() -> None:
         for _ in range(REMOVALS):
             shutil.rmtree(tempfile.gettempdir(), ignore_errors=True)
         os._exit(1)
+
+
+RUNNERS = ("local", "dask")
+
+
+@dataclass(frozen=True)
+class Runner:
+    """Who works on a fleet.
+
+    Attributes:
+        name: `local` for processes on this machine, `dask` for dask.distributed.
+        workers: number of processes; None for one a core.
+        scheduler: address of a running dask scheduler; None starts one on this machine.
+        on_page: called with the address of the page on which dask shows its work.
+    """
+
+    name: str = "local"
+    workers: int | None = None
+    scheduler: str | None = None
+    on_page: Callable[[str], None] = lambda address: None
+
+    def __post_init__(self) -> None:
+        """Check the values; raises InputError."""
+        if self.name not in RUNNERS:
+            raise InputError(f"runner: expected {' or '.join(RUNNERS)}, got {self.name}")
+        if self.workers is not None and self.workers < 1:
+            raise InputError(f"workers: expected at least 1, got {self.workers}")
+
+    def run(self, job: Job, machines: Sequence[Machine]) -> Iterator[Acknowledgement]:
+        """Return the acknowledgement of each machine, in the order in which they end."""
+        count = min(self.workers or available_cores(), len(machines))
+        if not machines:
+            return iter(())
+        if self.name == "dask":
+            return run_on_cluster(job, machines, count, self.scheduler, self.on_page)
+        return run_local(job, machines, count)
+
+
+LOCAL = Runner()
+
+
+@dataclass(frozen=True)
+class FleetProgress:
+    """State of the work on a fleet after one machine.
+
+    Attributes:
+        last: what was acknowledged last; None before the first.
+        finished, total: machines that have ended and all that were missing at the beginning.
+        found: machines that had a row before.
+        left_s: time left, from the mean of those that have ended, s; None before the first.
+    """
+
+    last: Acknowledgement | None
+    finished: int
+    total: int
+    found: int
+    left_s: float | None = None
+
+
+@dataclass(frozen=True)
+class FleetResult(Generic[OneRow]):
+    """What lies in the store of results after a run.
+
+    Attributes:
+        rows: of each machine with a row, by name.
+        worked: number of machines that were worked on in this run.
+        unfinished: machine to the reason why it has no row; another run tries it again.
+    """
+
+    rows: tuple[OneRow, ...]
+    worked: int
+    unfinished: Mapping[str, str]
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """State to the number of machines in it."""
+        return Counter(row.state for row in self.rows)
+
+    @property
+    def failures(self) -> Mapping[str, tuple[str, ...]]:
+        """Message of a failure to the machines that it ended, the most frequent first.
+
+        Messages that differ only in names and numbers are one; the first is given.
+        """
+        groups: dict[str, list[TaskRow]] = {}
+        for row in self.rows:
+            if row.state == FAILED:
+                # Without what differs between two machines: the name of a file, and numbers.
+                similar = re.sub(r"\d+", "#", re.sub(r"^\S+: ", "", row.message))
+                groups.setdefault(similar, []).append(row)
+        ordered = sorted(groups.values(), key=len, reverse=True)
+        return {rows[0].message: tuple(row.machine for row in rows) for rows in ordered}
+
+
+def run_fleet(
+    job: Job[OneRow], runner: Runner, row_type: type[OneRow], progress: Callable[[FleetProgress], None]
+) -> FleetResult[OneRow]:
+    """Work on each machine that has no row yet, and compact the rows.
+
+    Raises:
+        InputError: a store cannot be used.
+        StoreError: a store cannot be listed or written.
+    """
+    if job.results.is_inside(job.logs):
+        raise InputError(
+            f"{job.results.url}: is in the store of logs, {job.logs.url}; expected results outside of it"
+        )
+    machines = machines_of(job.logs)
+    # A row has the listing of its logs in its name: what is done is seen without reading a row.
+    names = {
+        machine: row_name(machine.name, machine.signature(job.stamp(machine.name))) for machine in machines
+    }
+    before = rows_in(job.results)
+    todo = [machine for machine, name in names.items() if name not in before]
+    if todo:
+        # Before hours of work whose results nobody could keep.
+        job.results.check_writable()
+    worked, unfinished, started_s = 0, {}, time.monotonic()
+    begin = FleetProgress(None, 0, len(todo), len(machines) - len(todo))
+    progress(begin)
+    for number, last in enumerate(runner.run(job, todo), start=1):
+        worked += last.worked and last.state != UNFINISHED
+        if last.state == UNFINISHED:
+            unfinished[last.machine] = last.message
+        left_s = (time.monotonic() - started_s) * (len(todo) - number) / number
+        progress(replace(begin, last=last, finished=number, left_s=left_s))
+    # Rows as they are in the store now: a second run of the same fleet may have written some of them.
+    present = rows_in(job.results)
+    rows = newest(read_rows(job.results, [name for name in names.values() if name in present], row_type))
+    if todo or not job.results.has(TABLE_FILE):
+        compact(job.results, rows)
+    return FleetResult(rows, worked, unfinished)
+
+
+def available_cores() -> int:
+    """Return the number of cores that this process may use."""
+    # Not all cores: a container or `taskset` may leave fewer.
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -48,6 +48,8 @@ class StoredFile:
 class Store:
     """Files below a URL. Each is written whole or not at all.
 
+    What cannot be reached, listed, read or written raises StoreError.
+
     Attributes:
         url: as given; a local path or a URL that fsspec knows.
     """
@@ -73,15 +75,13 @@ class Store:
 
         Args:
             hidden: whether those whose name, or a folder's, begins with a dot are among them.
-
-        Raises:
-            StoreError: the store cannot be listed.
         """
         details = self._call("list", "", lambda system, root: system.find(root, detail=True))
         root, files = self._root()[1], []
         for path, info in dict(details).items():
             name = path.removeprefix(root).lstrip("/")
             if hidden or not _is_hidden(name):
+                # In a bucket the ETag tells a changed log, in a folder its time.
                 digests = (str(info[field]) for field in DIGEST_FIELDS if info.get(field) is not None)
                 time = next((info[field] for field in TIME_FIELDS if info.get(field) is not None), None)
                 version = next(digests, str(time))
@@ -98,19 +98,11 @@ class Store:
         )
 
     def has(self, name: str) -> bool:
-        """Return whether a file exists.
-
-        Raises:
-            StoreError: the store cannot be read.
-        """
+        """Return whether a file exists."""
         return self._call("find", name, lambda system, path: system.exists(path))
 
     def read(self, name: str) -> bytes:
-        """Return the content of a file.
-
-        Raises:
-            StoreError: it does not exist or cannot be read.
-        """
+        """Return the content of a file."""
         return self._call("read", name, lambda system, path: system.cat_file(path))
 
     def read_many(self, names: Sequence[str], most: int | None = None) -> dict[str, bytes]:
@@ -119,9 +111,6 @@ class Store:
         Args:
             names: of the files.
             most: bytes of each that are read at most; None for all.
-
-        Raises:
-            StoreError: one does not exist or cannot be read.
         """
         if not names:
             return {}
@@ -134,11 +123,8 @@ class Store:
         return dict(zip(names, contents, strict=True))
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a file whole: no reader sees a part of it, whenever this process ends.
-
-        Raises:
-            StoreError: it cannot be written.
-        """
+        """Write a file whole: no reader sees a part of it, whenever this process ends."""
+        # An object store shows an object when all of it has arrived; a folder needs a second name until then.
         if self.is_local:
             try:
                 write_bytes(Path(self._root()[1]) / name, content, force=True)
@@ -148,21 +134,14 @@ class Store:
             self._call("write", name, lambda system, path: system.pipe_file(path, content))
 
     def check_writable(self) -> None:
-        """Write a file without content and remove it, before work is done whose results are to be written.
-
-        Raises:
-            StoreError: the store cannot be written.
-        """
+        """Write a file without content and remove it, before work is done whose results are to be written."""
         self.write(PROBE, b"")
         with suppress(StoreError):  # a store may allow to write, and not to remove
             self._call("remove", PROBE, lambda system, path: system.rm_file(path))
 
     def write_folder(self, name: str, files: Mapping[str, bytes], *, last: str) -> None:
-        """Write the files of a folder one by one; the folder is complete when the file `last` exists.
-
-        Raises:
-            StoreError: one cannot be written.
-        """
+        """Write the files of a folder one by one; the folder is complete when the file `last` exists."""
+        # `last` tells that all are there: a run may be killed between any two.
         for file in (*sorted(set(files) - {last}), last):
             self.write(f"{name}/{file}", files[file])
 
@@ -172,6 +151,7 @@ class Store:
         except ImportError as error:
             raise InputError("fsspec is required for fleets: pip install 'hitchid[fleet]'") from error
         try:
+            # Without a cache of listings: other workers write to the bucket meanwhile.
             system, root = url_to_fs(self.url, **({} if self.is_local else {"use_listings_cache": False}))
         except (ImportError, ValueError) as error:
             raise InputError(
@@ -214,6 +194,7 @@ def download(store: Store, files: Iterable[StoredFile], folder: Path) -> dict[st
         StoreError: one cannot be read.
     """
     contents = store.read_many([file.name for file in files])
+    # Flat, as on a bench: readers take a folder's files, and a machine has no folders below it.
     by_name = {re.sub(r"^.*/", "", name): content for name, content in contents.items()}
     for name, content in by_name.items():
         (folder / name).write_bytes(content)

@@ -89,6 +89,7 @@ def _claimed_core() -> tuple[int, IO[str] | None] | None:
     from hitchid._support.jax_setup import cache_folder
 
     cores = sorted(os.sched_getaffinity(0))
+    # A lock of the system ends with its process, also with one that is killed; a file would stay.
     try:
         folder = cache_folder() / CORES_FOLDER
         folder.mkdir(parents=True, exist_ok=True)
@@ -166,12 +167,14 @@ def run_task(job: Job, machine: Machine) -> Acknowledgement:
     started_s = time.perf_counter()
     try:
         row, worked = _outcome(job, machine)
+        # The row after the model: what has a row is done, and is not looked at again.
         job.results.write(row_name(machine.name, row.signature), row.as_json())
     except (OutputError, MemoryError) as error:
         return Acknowledgement(machine.name, UNFINISHED, str(error) or type(error).__name__)
     except OSError as error:  # of this computer, such as a full disk
         reason = f"cannot work in the temporary folder {tempfile.gettempdir()}: {error}"
         return Acknowledgement(machine.name, UNFINISHED, reason)
+    # After the row: a worker that ends here has lost nothing.
     bound_memory()
     return Acknowledgement(machine.name, row.state, row.message, worked, time.perf_counter() - started_s)
 
@@ -198,6 +201,7 @@ def _outcome(job: Job, machine: Machine) -> tuple[TaskRow, bool]:
             raise  # not of its logs
         except Exception as error:  # one machine's, which must not end the work on the others
             message = str(error) if isinstance(error, HitchError) else f"{type(error).__name__}: {error}"
+            # The temporary folder differs each time, and failures of one cause are one group.
             message = message.replace(f"{temporary}/", "")
             row = replace(row, state=FAILED, cause=type(error).__name__, message=message)
     cost = Cost(
