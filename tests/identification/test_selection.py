@@ -13,6 +13,7 @@ from hitchid.identification.candidates import (
     Candidate,
     best_candidate,
     covariate_specs,
+    goes_back,
     operating_point_folds,
 )
 from hitchid.identification.identify import DEFAULT_STRUCTURES
@@ -29,14 +30,19 @@ SEARCH = MultiStart(evaluations=60)
 SCALES = Scales(*(jnp.asarray(scale) for scale in (1.0, 90.0, 40.0)))
 
 
-def simulated(make_record, form, values, *, noise=0.02, tests=8, dead_zone=0.0):
-    """Return tests, each around its own level, of a plant of a form with white noise."""
+def simulated(make_record, form, values, *, noise=0.02, tests=8, dead_zone=0.0, pauses=False):
+    """Return tests, each around its own level, of a plant of a form with white noise.
+
+    With pauses the command is zero in every second fifth of a test.
+    """
     rng = np.random.default_rng(3)
     tops = np.linspace(0.3, 1.0, tests)
     shapes = [levels(rng, SAMPLES, low=0.6) for _ in tops]
     commands = [
         np.where(shape > 0, dead_zone + top * shape, 0.0) for top, shape in zip(tops, shapes, strict=True)
     ]
+    if pauses:
+        commands = [np.where(np.arange(SAMPLES) * 5 // SAMPLES % 2, 0.0, command) for command in commands]
     still = [make_record(np.full(SAMPLES, 80.0), command) for command in commands]
     batch = Batch.of(still, LIFTING, dead_zone=dead_zone, sign=1)
     travels = np.asarray(form.physical_model(jnp.asarray(values), SCALES).travel(batch))[:, :SAMPLES]
@@ -82,6 +88,26 @@ def test_a_dead_zone_too_large_is_found_anew(make_record):
     assert taken.dead_zone < 0.4
     # Noise of 0.02 mm; with 0.4 A some of the way is driven by commands that count as none.
     assert phase1.rmse < 0.03
+
+
+LAG = ModelSpec(structure_named("first-order-lag"))
+
+
+@pytest.mark.parametrize("tests", [8, 2], ids=["held out in turn", "nothing to hold out"])
+def test_a_piston_that_goes_back_has_no_integrator(make_record, tests):
+    batch = simulated(make_record, LAG, [20.0, 0.8], tests=tests, pauses=True)
+    assert goes_back(batch)
+    phase1, _ = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
+    assert phase1.benchmark.structure.name == "first-order-lag"
+    assert phase1.rmse == pytest.approx(0.02, rel=0.1)
+    assert dict(zip(("gain", "tau"), phase1.fit.values, strict=False)) == pytest.approx(
+        {"gain": 20.0, "tau": 0.8}, rel=0.01
+    )
+
+
+def test_a_piston_that_stays_or_sags_a_little_keeps_its_integrator(make_record):
+    batch = simulated(make_record, PLAIN, [20.0, 15.0, 0.1], pauses=True)  # swings when it is stopped
+    assert not goes_back(batch)
 
 
 def test_folds_hold_out_levels_between_the_extremes(make_record):

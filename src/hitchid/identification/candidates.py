@@ -107,6 +107,38 @@ def covariate_specs(spec: ModelSpec, covariate: str) -> list[tuple[str, ModelSpe
     return [(name, replace(spec, covariates=(*others, effects))) for name, effects in steps[first:]]
 
 
+# Left without a command a piston of an oil column stays, or comes to rest a little farther on. One that goes
+# back by a twentieth of its travel in nine stretches of ten, three at least, has no integrator; chosen.
+LEAST_RETURN, LEAST_SHARE, FEWEST_STRETCHES, FEWEST_SAMPLES = 0.05, 0.9, 3, 10
+
+
+def goes_back(batch: Batch) -> bool:
+    """Return whether the piston goes back wherever it is left without a command after a motion.
+
+    Over the stretches with no effective command, x₀ and x₁ the mean travel in the first and the last tenth of
+    each: −Σ (x₁ − x₀) x₀ / Σ x₀² is the share of the travel that it goes back.
+    """
+    before, change = [], []
+    usable = np.asarray(batch.valid) & np.asarray(batch.loss_mask)
+    for command, travel, is_usable in zip(
+        np.asarray(batch.command), np.asarray(batch.travel), usable, strict=True
+    ):
+        is_left = (command == 0) & is_usable & (np.cumsum(command != 0) > 0)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], is_left, [False]]).astype(np.int64)))
+        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+            if stop - start >= FEWEST_SAMPLES:
+                tenth = (stop - start) // FEWEST_SAMPLES
+                first, last = travel[start : start + tenth].mean(), travel[stop - tenth : stop].mean()
+                before.append(first)
+                change.append(last - first)
+    products = np.array(before) * np.array(change)
+    return (
+        len(before) >= FEWEST_STRETCHES
+        and bool(np.mean(products < 0) >= LEAST_SHARE)
+        and bool(-products.sum() >= LEAST_RETURN * np.square(before).sum())
+    )
+
+
 def starts(spec: ModelSpec, previous: Sequence[Parameter]) -> Sequence[Mapping[str, float]]:
     """Return starting positions, by name, of the parameters that a candidate adds to the one before it."""
     names = {parameter.name for parameter in previous}
