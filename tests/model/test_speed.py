@@ -1,5 +1,6 @@
 """Steady speed with its band, and its inverse as a table."""
 
+import csv
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -216,6 +217,8 @@ def test_a_table_is_written_with_units_over_no_file(tmp_path):
     )
     with pytest.raises(OutputError, match="exists already"):
         table.to_csv(path)
-    table.to_csv(path, force=True)
+    odd = replace(table, command_unit='a,"b')
+    odd.to_csv(path, force=True)
+    assert next(csv.reader(path.open())) == list(odd.columns)
     assert table.to_dataframe().columns.tolist() == ["speed_mm_per_s", "command_A"]
     assert len(repr(table).splitlines()) <= 25

@@ -1,6 +1,8 @@
 """Command over steady speed, as a table for a controller."""
 
+import csv
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -89,8 +91,9 @@ class InverseTable:
             OutputError: the file exists and `force` is not given, or it cannot be written.
             InputError: `path` is not a path.
         """
-        lines = [",".join(self.columns), *(f"{speed!r},{command!r}" for speed, command in self)]
-        write_bytes(checks.path(path, "path"), ("\n".join(lines) + "\n").encode(), force=force)
+        text = StringIO()
+        csv.writer(text, lineterminator="\n").writerows([self.columns, *self])
+        write_bytes(checks.path(path, "path"), text.getvalue().encode(), force=force)
 
 
 @double_precision

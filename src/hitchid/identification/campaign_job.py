@@ -144,12 +144,14 @@ class CampaignJob:
         return {**results, **scaled}
 
     def judge_on_cycles(self, results: ChannelResults) -> ChannelResults:
-        """Return the channels without the compensators for free run where these make whole cycles worse."""
-        cycles = self.cycles or self.campaign.identification(CYCLE)
+        """Return the channels without the compensators for free run where these make whole cycles worse.
+
+        Mixed logs beside tests of one direction decide nothing: they are what the model is validated on.
+        """
         compensated = any(channel.speed_compensator is not None for channel, _ in results.values())
-        if not compensated or not cycles:
+        if not compensated or not self.cycles:
             return results
-        rmse, plain_rmse = cycle_errors(self._hitch(results), cycles)
+        rmse, plain_rmse = cycle_errors(self._hitch(results), self.cycles)
         if rmse <= plain_rmse:
             return results
         unit = self.campaign.units[DISPLACEMENT]
