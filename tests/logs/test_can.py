@@ -318,7 +318,7 @@ def test_ids_of_29_bits_are_met_exactly_where_nothing_says_j1939(tmp_path):
         decode(frames[1::2], [database], "x")
 
 
-def test_an_id_of_no_node_stands_for_all_unless_it_is_met(tmp_path):
+def test_an_id_of_no_node_stands_for_all_others(tmp_path):
     database = write_dbc(tmp_path / "null.dbc", message(EEC1, "EEC1", SPEED))
     content = decode(senders(0), [database], "EngSpeed")
     np.testing.assert_array_equal(content.channels["EngSpeed"].values, np.arange(6))

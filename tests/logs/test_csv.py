@@ -422,7 +422,7 @@ def test_lines_without_end_and_archives_without_measure_are_refused(log, monkeyp
         read_table(log(packed, "log.csv.gz"))
 
 
-def test_a_table_of_a_data_logger_is_read_by_its_second_row(log):
+def test_the_second_row_of_a_data_logger_is_read(log):
     rows = "".join(f'"2023-05-01 12:00:0{k}.5",{k},0,{2 * k}\n' for k in range(9))
     head = '"TOA5","rig","CR6"\n"TIMESTAMP","RECORD","u","x"\n"TS","RN","A","mm"\n"","","Smp","Smp"\n'
     channels = read(log(head + rows), ChannelSelection("", None)).channels

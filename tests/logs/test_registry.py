@@ -97,5 +97,5 @@ def test_a_registered_format_comes_before_another_one_with_its_ending(install, t
             format_of(tmp_path / "server.log")
 
 
-def test_a_name_too_long_for_the_disk_has_the_format_of_its_ending():
+def test_a_name_too_long_for_a_disk_keeps_its_format():
     assert format_of(Path("a" * 300 + ".log")).name == "candump"

@@ -181,6 +181,6 @@ def test_strokes_begin_and_end_where_their_commands_do(record, expected):
     assert [(s.direction, s.start, s.stop) for s in strokes(record, ZONES)] == expected
 
 
-def test_on_a_slow_clock_a_stroke_of_few_samples_is_left_out():
+def test_a_stroke_of_few_samples_is_left_out():
     record = replace(held((20, 1, 0), (SHORTEST_STROKE_SAMPLES - 1, 0, 1), (20, 1, 0)), step_s=2.0)
     assert [stroke.direction for stroke in strokes(record, ZONES)] == ["lifting", "lifting"]

@@ -79,32 +79,27 @@ def choose_spec(
     alone and with the options of the best form so far. The one taken is refined over all samples. Where a
     piston that is left alone goes back, the first form is a lag without integrator, if that fits better.
 
-    Covariates are tried one after the other on top of the best form, each with its effect on speed and
-    opening, on the dynamics, too, and with its square; the best of them stays, and the rest are tried again,
-    with larger effects of those taken before.
-
-    The opening is known where a ramp showed the valve to open: tests at a few levels of command do not
-    determine the flow below the lowest. A dead zone that is revised may be found anew with a valve curve; see
-    `_with_smaller_dead_zone`.
+    Covariates are tried one after the other on top of the best form; see `covariate_candidates`. The opening
+    is known where a ramp showed the valve to open: tests at a few levels do not determine the flow below the
+    lowest. A dead zone that is revised may be found anew with a valve curve; see `_with_smaller_dead_zone`.
 
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
         InputError: a structure of another package cannot be imported.
     """
-    baseline_spec = auto_structure.baseline_spec
     covariates = [name for name in auto_structure.covariate_names if np.ptp(batch.load([name])) > 0]
     folds = operating_point_folds(batch, separate_tests=bool(covariates))
     parts = split_progress(progress, CHOICE_SHARES)
     choice = _Choice(batch, batch.coarse(), folds, search, seed, units, parts, checkpoints)
     assessed = partial(assess_fit, units=units, dead_zone=dead_zone, seed=seed, progress=parts["intervals"])
-    baseline = choice.search_fit(baseline_spec, part="baseline", checkpoint="plain")
+    baseline = choice.search_fit(auto_structure.baseline_spec, part="baseline", checkpoint="plain")
     if goes_back(batch):
         # Few tests prove one form better than another; that the piston goes back is seen in each of them.
         lag = choice.search_fit(RETURNING_SPEC, part="external", checkpoint="lag")
         baseline = min(baseline, lag, key=lambda fit: fit.objective.error(fit.position))
     if not folds:
         return assessed(baseline), ()
-    largest = largest_spec(baseline_spec, opening_known=opening_known)
+    largest = largest_spec(auto_structure.baseline_spec, opening_known=opening_known)
     candidates = choice.nested_candidates(baseline, largest, revised=revised)
     candidates = covariate_candidates(candidates, covariates, choice.with_covariate)
     chosen = best_candidate(candidates)
@@ -130,7 +125,8 @@ def covariate_candidates(
     """Return the candidates with those that covariates are added to, until none is better.
 
     The load of a test that nobody measured hides what other options add. The first covariate is therefore
-    added to the form with all options, and judged against the best. In the same way one covariate hides what
+    added to the form with all options, and judged against the best: with its effect on speed and opening, on
+    the dynamics, too, and with its square. In the same way one covariate hides what
     another changes: each time one has been added, larger effects of those before it are tried again.
     The last of those given has all options; `fit` extends a candidate by named specifications.
     """

@@ -53,7 +53,7 @@ def test_a_stuck_sensor_is_found_with_its_span(command, noise, quantum, stuck, i
     assert "lifting is commanded at 0.6" in finding.what
 
 
-def test_holding_and_a_command_within_the_dead_zone_are_no_stuck_sensor():
+def test_holding_within_the_dead_zone_is_no_stuck_sensor():
     held = make_test("a", command=np.repeat([0, 0.6, 0.2, 0, 0.6, 0.2], 200), noise=0.0)
     assert findings_of([held], "stuck sensor") == []
 

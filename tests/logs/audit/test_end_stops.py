@@ -66,7 +66,7 @@ def test_a_piston_that_stands_elsewhere_is_at_no_stop(log):
     assert find_end_stop(blocked, "lifting", 1) is None
 
 
-def test_both_stops_of_mixed_logs_are_found_and_named_by_the_audit(log):
+def test_the_audit_names_both_stops_of_mixed_logs(log):
     up_and_down = [(0, 1), (70, 4), (0, 1), (-80, 4), (0, 1), (30, 2), (0, 1)]
     logs = [log("both", *up_and_down), log("neither", (0, 1), (40, 1), (0, 1), (-40, 1), (0, 1))]
     findings = [finding for finding in audit(Campaign.of(logs)) if finding.check == "end stop"]
