@@ -13,7 +13,7 @@ import sys
 import numpy as np
 
 import hitchid
-from hitchid.report import numbers
+from hitchid._support import numbers
 from hitchid.validation import Accuracy
 from hitchid.validation.results import model_name
 

@@ -41,7 +41,7 @@ SETTINGS = (
     "WhaleConfig",
 )
 # What a door hands on to other rooms only; no user holds one.
-PARTS = ("HitchDynamics", "StrokeModel", "TracedSearch")
+PARTS = ("CampaignContext", "HitchDynamics", "RecordContext", "StrokeModel", "TracedSearch")
 MANY, SAMPLES = 40, 30  # items of each sequence and mapping, samples along each axis of an array
 LONG_NAME = "a name that is rather long, as names of logs are at times, for they tell what was measured/up-1"
 DEPTH = 4  # of records in records; deeper ones are None or left empty

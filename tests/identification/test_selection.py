@@ -105,6 +105,21 @@ def test_a_piston_that_goes_back_has_no_integrator(make_record, tests):
     )
 
 
+@pytest.mark.parametrize(
+    ("returns", "expected"),
+    [([0.06] * 10, True), ([0.04] * 10, False), ([0.06] * 2, False), ([0.5] * 8 + [-0.01] * 2, False)],
+    ids=["a twentieth", "less", "too few stretches", "not always"],
+)
+def test_a_piston_goes_back_by_a_twentieth_nine_times_of_ten(make_record, returns, expected):
+    # Strokes of 10 mm, after each of which the piston goes back by a share of the way.
+    command = np.repeat([1.0, 0.0], 50)
+    records = []
+    for share in returns:
+        left = np.where(np.arange(50) < 5, 90.0, 90.0 - 10 * share)
+        records.append(make_record(np.concatenate([np.linspace(80.0, 90.0, 50), left]), command))
+    assert goes_back(Batch.of(records, LIFTING, dead_zone=0.0, sign=1)) == expected
+
+
 def test_a_piston_that_stays_or_sags_a_little_keeps_its_integrator(make_record):
     batch = simulated(make_record, PLAIN, [20.0, 15.0, 0.1], pauses=True)  # swings when it is stopped
     assert not goes_back(batch)

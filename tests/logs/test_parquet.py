@@ -100,6 +100,13 @@ def test_units_stand_in_the_metadata_of_the_fields(log):
     assert [c.unit for c in read(log(columns, units), ALL).channels.values()] == ["mm", "bar", None, None]
 
 
+def test_row_groups_follow_each_other(log):
+    values = np.random.default_rng(2).normal(size=1000)
+    np.testing.assert_array_equal(
+        read(log({"x": values}, row_group_size=64), ALL).channels["x"].values, values
+    )
+
+
 def test_a_name_that_is_there_twice_is_refused(tmp_path):
     twice = pa.Table.from_arrays([pa.array([1.0, 2.0]), pa.array([3.0, 4.0])], names=["x", "x"])
     parquet.write_table(twice, tmp_path / "log.parquet")

@@ -107,8 +107,8 @@ def covariate_specs(spec: ModelSpec, covariate: str) -> list[tuple[str, ModelSpe
     return [(name, replace(spec, covariates=(*others, effects))) for name, effects in steps[first:]]
 
 
-# Left without a command a piston of an oil column stays, or comes to rest a little farther on. One that goes
-# back by a twentieth of its travel in nine stretches of ten, three at least, has no integrator; chosen.
+# Left without a command a piston stays, or comes to rest a little farther on. One that goes back in nine
+# stretches of ten, three at least, and by a twentieth of its travel on average, has no integrator; chosen.
 LEAST_RETURN, LEAST_SHARE, FEWEST_STRETCHES, FEWEST_SAMPLES = 0.05, 0.9, 3, 10
 
 

@@ -237,9 +237,10 @@ def _residual_tests(runs: _ModelRuns, predicted: np.ndarray, factor: float) -> R
     loss_mask = np.asarray(batch.loss_mask)
     simulated = runs.free_run
     with np.errstate(over="ignore", invalid="ignore"):
-        if not all(np.isfinite(np.sum(rows[loss_mask] ** 2)) for rows in (predicted, simulated)):
+        # A speed looks a sample beyond those that count, where the run may have diverged.
+        speed = np.gradient(simulated, batch.step_s, axis=1)
+        if not all(np.isfinite(np.sum(rows[loss_mask] ** 2)) for rows in (predicted, simulated, speed)):
             return None
-    speed = np.gradient(simulated, batch.step_s, axis=1)
 
     def rows(values: np.ndarray) -> list[np.ndarray]:
         return [row[mask] for row, mask in zip(np.asarray(values), loss_mask, strict=True)]

@@ -306,7 +306,7 @@ class Numerals:
 
 def _number(cell: str, sign: str, *, has_thousands: bool) -> float | None:
     """Return the number of a cell, NaN for a missing value, None for other text."""
-    # Loggers and spreadsheets have many words for a missing value, none of them with a digit.
+    # The words for a missing value have no digit, or the # of a spreadsheet's or a C library's error.
     if not any(map(str.isdigit, cell)) or "#" in cell:
         return WORDS.get(cell.lower(), float(cell) if NUMBER.fullmatch(cell) else np.nan)
     other = "," if sign == "." else "."
