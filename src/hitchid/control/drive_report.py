@@ -298,7 +298,7 @@ def _figure_table(result: Drive, controller: str) -> RecordTable:
         return f"{name} (least {least_times_s[name]:.2f} s)" if name in least_times_s else name
 
     def figure(name: str, key: str, label: str = "", text: Callable[[Any], str] = _cell) -> Column:
-        def value(record: tuple[str, Figures]) -> float | None:
+        def value(record: tuple[str, Figures]) -> float | int | None:
             return getattr(record[1], name)
 
         return Column(key, label, value, lambda record: text(value(record)))
