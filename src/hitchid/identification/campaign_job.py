@@ -155,15 +155,19 @@ class CampaignJob:
         if rmse <= plain_rmse:
             return results
         unit = self.campaign.units[DISPLACEMENT]
-        plain = {
-            direction: (replace(channel, speed_compensator=None), trace)
-            for direction, (channel, trace) in results.items()
-        }
         sentence = (
             "no network correction in free run: over whole cycles the error is "
             f"{rmse:.4g} {unit} with it, {plain_rmse:.4g} {unit} without it"
         )
-        return _with_notices(plain, [sentence])
+        plain = dict(results)
+        for direction, (channel, trace) in results.items():
+            if channel.speed_compensator is not None:
+                # Its bands know the errors with the correction: around free runs without it, too narrow.
+                uncertainty = trace.uncertainty and replace(trace.uncertainty, bands=None)
+                notices = (*trace.notices, f"{sentence}; no bands, for they were calibrated with it")
+                trace = replace(trace, uncertainty=uncertainty, notices=notices)
+                plain[direction] = replace(channel, speed_compensator=None), trace
+        return plain
 
     def with_rivals(self, model: Hitch, progress: ProgressCallback) -> Hitch:
         """Return a model of this campaign with all rivals, trained to the tests of its channels."""
