@@ -12,7 +12,7 @@ import tempfile
 import threading
 import time
 import urllib.parse
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -35,7 +35,6 @@ STOPS = 40  # stops of a running bench, each a click in the page
 WARM_UP_S = 15  # after which buffers have their size
 TICKS = 10_000
 TICKS_IN_TIME = 3000  # at 100 Hz
-ATTEMPTS = 3  # at times of ticks: what else the machine does lengthens times, and shortens none
 BARS = {
     "tick, p99.9 / ms": 2.0,
     "tick with a frozen disk, p99.9 / ms": 2.0,
@@ -106,16 +105,6 @@ def running() -> Iterator[fake_bench.Bench]:
         bench.run(kind="file", name="hold", file="uploads/hold.csv")
         yield bench
         bench.loop.close()
-
-
-def _shortest(measured: Callable[[], dict[str, float]]) -> dict[str, float]:
-    """Return the shortest of each time; measured again only where one is above its bar."""
-    figures = measured()
-    for _ in range(ATTEMPTS - 1):
-        if all(figures[name] <= BARS[name] for name in figures):
-            break
-        figures = {name: min(time_ms, figures[name]) for name, time_ms in measured().items()}
-    return figures
 
 
 def ticks() -> dict[str, float]:
@@ -264,7 +253,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=1.0, help="of live signals")
     minutes = parser.parse_args().minutes
     try:
-        figures = _shortest(ticks) | _shortest(ticks_while_memory_is_taken) | measure(minutes)
+        figures = ticks() | ticks_while_memory_is_taken() | measure(minutes)
     except pytest.skip.Exception as reason:  # of what drives the browser
         show(f"the operator's page is not measured: {reason}")
         return

@@ -127,8 +127,8 @@ def covariate_candidates(
 
     The load of a test that nobody measured hides what other options add. The first covariate is therefore
     added to the form with all options, and judged against the best: with its effect on speed and opening, on
-    the dynamics, too, and with its square. In the same way one covariate hides what
-    another changes: each time one has been added, larger effects of those before it are tried again.
+    the dynamics, too, and with its square. In the same way one covariate hides what another changes: each
+    time one has been added, larger effects of those before it are tried again.
     The last of those given has all options; `fit` extends a candidate by named specifications.
     """
     everything, base = list(candidates), candidates[-1]
