@@ -138,8 +138,8 @@ def event(kind, changes=TWICE, reason="proved better"):
 
 @pytest.fixture
 def adapted(monkeypatch, tmp_path):
-    """Return a function that makes a loop whose adaptation is on, and the fake that adapts."""
-    made = []
+    """Give a function that makes a loop whose adaptation is on, and the fake that adapts; end all of them."""
+    loops, made = [], []
 
     def remembered(*given, **named):
         made.append(FakeAdaptation(*given, **named))
@@ -148,12 +148,15 @@ def adapted(monkeypatch, tmp_path):
     def make(units=A_MM):
         monkeypatch.setattr(monitor_loop, "OnlineAdaptation", remembered)
         loop = MonitorLoop(MODEL, units, STEP_S)
+        loops.append(loop)
         loop.adapt(tmp_path / "changes" / "a.jsonl")
         while loop.adaptation.model is None:
             loop.adaptation.start()
         return loop, made[-1]
 
-    return make
+    yield make
+    for loop in loops:
+        loop.adapt(None)  # which closes the change log
 
 
 def steps_of(free_run):

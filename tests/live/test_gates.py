@@ -87,7 +87,7 @@ def refusal(adapter, stroke):
     return events[0].reason
 
 
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize("mode", DIRECTIONS)
 @pytest.mark.parametrize("kind", CORRUPTED)
 def test_a_corrupted_stroke_is_refused_and_says_why(adapter, kind, mode):

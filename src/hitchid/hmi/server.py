@@ -56,16 +56,18 @@ class Server:
     """
 
     def __init__(self, settings: Settings, port: int = 0) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            self._socket.bind((HOST, port))
-            self._socket.listen()  # from now on: whoever opens the link early waits instead of being refused
-        except OSError as error:
-            raise InputError(f"port {port}: {error.strerror}; choose another --port") from error
-        self.port = self._socket.getsockname()[1]
-        # Only now is the address known that the lock names for whoever comes second.
-        self._lock = project.lock(settings.root, f"http://{HOST}:{self.port}/")
+        with contextlib.ExitStack() as refused:
+            self._socket = refused.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                self._socket.bind((HOST, port))
+                self._socket.listen()  # from now on: whoever opens the link early waits, and is not refused
+            except OSError as error:
+                raise InputError(f"port {port}: {error.strerror}; choose another --port") from error
+            self.port = self._socket.getsockname()[1]
+            # Only now is the address known that the lock names for whoever comes second.
+            self._lock = project.lock(settings.root, f"http://{HOST}:{self.port}/")
+            refused.pop_all()
         self._sessions = Sessions()
         self._console = Console(settings)
         self._pages = _page_files()
