@@ -9,7 +9,9 @@ import pytest
 pytest.importorskip("starlette")
 
 from hitchid import cli
-from hitchid.hmi import guard, project
+from hitchid.errors import InputError
+from hitchid.hmi import guard, project, server
+from hitchid.hmi.console import Settings
 from hitchid.hmi.guard import LINK_S, MOST_SESSIONS, Sessions
 
 
@@ -94,6 +96,21 @@ def test_what_cannot_be_served_is_refused_before_it_is(refused, tmp_path):
         assert f"port {port}: Address already in use; choose another --port" in refused("--port", port)
     assert project.lock(tmp_path, "http://127.0.0.1:8123/") is not None  # until this process ends
     assert "is served already, at http://127.0.0.1:8123/; open that, or end it first" in refused(".")
+
+
+def test_a_server_that_is_refused_leaves_no_socket_open(tmp_path, monkeypatch):
+    class Remembered(socket.socket):
+        def __init__(self, *arguments):
+            super().__init__(*arguments)
+            made.append(self)
+
+    made = []
+    monkeypatch.setattr(server.socket, "socket", Remembered)
+    file = project.lock(tmp_path, "http://127.0.0.1:8123/")
+    with pytest.raises(InputError, match="is served already"):
+        server.Server(Settings(tmp_path))
+    os.close(file)
+    assert [each.fileno() for each in made] == [-1]
 
 
 def test_a_project_is_free_again_when_its_server_has_ended(tmp_path):
