@@ -21,7 +21,8 @@ BISECTION_STEPS = 4  # of an end of the interval
 REFIT_STEPS, TOLERANCE = 5, 1e-4  # of the other parameters: steps, relative change of the sum of squares
 MIN_TESTS = 4  # fewest tests for the t-test on the RMSE by test
 STEP, MIN_PACE, MAX_PACE = 1e-4, 0.1, 10.0  # rates beyond an end: difference step, limits
-MIN_RELATIVE_DECREASE = 1e-9  # of the sum of squares; smaller expected decreases are rounding errors
+TINY = 1e-300  # least curvature, for a division
+MIN_RELATIVE_DECREASE = 1e-9  # of the sum of squares, or of the RMSE; smaller changes are rounding errors
 
 
 class Profile(NamedTuple):
@@ -149,8 +150,10 @@ class _ProfilePoint:
         ]
         tangent = scores[0].profile_tangent(number)
         slopes, shifted_slopes = scores[0].slopes @ tangent, scores[-1].slopes @ tangent
-        excess, cost = 0.0, float(equations[0].costs.sum())
-        if slopes.sum() ** 2 > MIN_RELATIVE_DECREASE * (tangent @ scores[0].curvature @ tangent) * cost:
+        excess, cost, slope = 0.0, float(equations[0].costs.sum()), float(slopes.sum())
+        expected_decrease = slope**2 / max(float(tangent @ scores[0].curvature @ tangent), TINY)
+        # A slope that changes nothing from bound to bound is rounding, too, however flat its surroundings.
+        if min(expected_decrease, abs(slope)) > MIN_RELATIVE_DECREASE * cost:
             shift = float(shifted_slopes.sum() - slopes.sum()) / slopes.size
             degrees = slopes.size - position.size
             excess = _relative_excess(abs(float(slopes.mean())), slopes, shift, degrees, dead_zone)
@@ -160,8 +163,8 @@ class _ProfilePoint:
         ]
         increases = [of_tests - best for of_tests, best in zip(errors, best_errors, strict=True)]
         # Far from the optimum the slope may vanish; there a value is excluded by the growth of the errors.
-        if increases[0].size >= MIN_TESTS:
-            mean = float(increases[0].mean())
+        mean = float(increases[0].mean())
+        if increases[0].size >= MIN_TESTS and mean > MIN_RELATIVE_DECREASE * float(best_errors[0].mean()):
             shift = float(increases[-1].mean()) - mean
             growth = _relative_excess(mean, increases[0], shift, increases[0].size - 1, dead_zone)
             excess = max(excess, growth)
