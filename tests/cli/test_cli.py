@@ -325,8 +325,8 @@ BAD_MODELS = {
     "description too deep": (lambda f: (f / "model.json").write_text("[" * 100_000), ["model.json"]),
     "trace edited": (edited("trace.json", "{", "{ "), ["trace.json", "edited"]),
     "a newer schema": (
-        edited("model.json", '"schema": 13', '"schema": 14'),
-        ["model.json", "schema 14", "expected 13"],
+        edited("model.json", '"schema": 14', '"schema": 15'),
+        ["model.json", "schema 15", "expected 14"],
     ),
 }
 

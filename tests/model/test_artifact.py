@@ -165,8 +165,8 @@ PARTS = ("files", "channels", "step_s", "units", "split", "seen", "cut_at", "see
         ("model.json", (*CHANNEL, "speed_compensator", "units"), 5, "shape"),
         ("model.json", (*CHANNEL, "speed_compensator", "members"), 3, "shape"),
         *(
-            ("model.json", ("schema",), schema, f"schema {schema!r}, expected 13.*identify again")
-            for schema in (12, 14, True, "13", 13.0, None)
+            ("model.json", ("schema",), schema, f"schema {schema!r}, expected 14.*identify again")
+            for schema in (13, 15, True, "14", 14.0, None)
         ),
         ("rivals.json", ("rivals", "lifting", "baselines"), ["arx", "oracle"], "oracle"),
         ("rivals.json", ("model",), "0" * 64, "belongs to another model"),

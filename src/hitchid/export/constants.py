@@ -172,6 +172,7 @@ def _per_node(array: object, nodes: int, shape: tuple[int, ...]) -> Rows:
     return rows(np.asarray(array).reshape(nodes, *shape))
 
 
+@double_precision
 def curves_of(nonlinearity: StaticNonlinearity, step_s: float) -> dict[str, float]:
     """Return the numbers of the nonlinearities of valve and stroke at the sampling time."""
     names = ("opening", "exponent", "saturation", "hysteresis", "spool_lag")
@@ -182,6 +183,7 @@ def curves_of(nonlinearity: StaticNonlinearity, step_s: float) -> dict[str, floa
     scales = nonlinearity.scales
     return curves | {
         "command_scale": float(scales.command),
+        "largest_share": float(nonlinearity.largest_share),
         "centre": float(scales.centre),
         "span": float(scales.span),
         "decay": decay,

@@ -50,7 +50,7 @@ from hitchid.structures import (
 )
 from hitchid.structures.nonlinearity import POWERS
 
-SCHEMA = 13  # version of the layout of a model folder
+SCHEMA = 14  # version of the layout of a model folder
 LONGEST_STEP_S = 3600.0  # s; what is sampled more rarely is no drive: chosen
 MAX_DELAY = 100_000  # samples of dead time, which a state holds; chosen: 10 s at 10 kHz
 MAX_SAMPLES = 100_000  # that a compensator looks back or ahead; chosen: as many

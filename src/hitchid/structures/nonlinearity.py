@@ -1,6 +1,6 @@
 """Nonlinearities around a linear model: valve curve, spool dynamics, gain along the stroke."""
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -49,6 +49,20 @@ class CovariateEffects:
             for power in powers
             for quantity in quantities
         )
+
+    def limited_to(self, structure: LinearStructure, names: Set[str]) -> "CovariateEffects":
+        """Return the fewest effects of the covariate among which are those named."""
+
+        def has_all(effects: "CovariateEffects") -> bool:
+            return needed <= {parameter.name for parameter in effects.parameters(structure)}
+
+        needed = names & {parameter.name for parameter in self.parameters(structure)}
+        all_effects = [
+            CovariateEffects(self.covariate, dynamics, quadratic)
+            for quadratic in (False, True)
+            for dynamics in (False, True)
+        ]
+        return next(effects for effects in all_effects if has_all(effects))
 
 
 class CovariateScales(eqx.Module):
@@ -188,13 +202,14 @@ class StaticNonlinearity(eqx.Module):
     the hysteresis. Beyond the dead zone lies u = sign(p)·max(abs(p) − d₀ + h d₀/2, 0), which without lag and
     hysteresis is the effective command.
 
-    With z = u/U, v = max(z − d, 0)ⁿ and w = U v/(1 + (v/σ)⁴)^¼: beyond the opening d flow grows with the
-    power n of the command until it saturates. Within a millionth of U of its opening flow is a straight line,
-    for a power below one has no derivative at zero. With a negative opening the valve opens below the dead
-    zone. Where u is less than a thousandth of U nothing flows; with h ≤ 1 that includes a command of zero
-    once the lag has died away. Travel grows by g = exp(a ξ + b (ξ² − ⅓)) times what the linear model's does,
-    ξ the displacement within its range; farther out than 1½ of it b ξ² is held, and a ξ goes on to at most
-    twice or half.
+    With z = u/U, v = max(z − d, 0)ⁿ, f = v/(1 + (v/σ)⁴)^¼ and w = U f/f₁: beyond the opening d flow grows
+    with the power n of the command until it saturates. f₁ is f at z = 1, so that the gain of the linear
+    model is the speed at the largest command, per command. Within a millionth of U of its opening flow is a
+    straight line, for a power below one has no derivative at zero. With a negative opening the valve opens
+    below the dead zone. Where u is less than a thousandth of U nothing flows; with h ≤ 1 that includes a
+    command of zero once the lag has died away. Travel grows by g = exp(a ξ + b (ξ² − ⅓)) times what the
+    linear model's does, ξ the displacement within its range; farther out than 1½ of it b ξ² is held, and a ξ
+    goes on to at most twice or half.
 
     Attributes:
         values: d, n, σ, h, τ, a, b, shape [7].
@@ -240,16 +255,23 @@ class StaticNonlinearity(eqx.Module):
         Args:
             command: u, what lies beyond the dead zone.
         """
-        opening, exponent, saturation = self.named("opening", "exponent", "saturation")
         size = jnp.abs(command) / self.scales.command
-        above_opening = size - opening
+        above_opening = size - self.named("opening")[0]
         is_open = (size > MIN_RELATIVE_COMMAND) & (above_opening > 0)
-        power = limited(above_opening, LINEAR_OPENING) ** exponent * limited(
-            above_opening / LINEAR_OPENING, highest=1.0
-        )
-        unsaturated = jnp.where(is_open, power, 0.0)
-        saturated = unsaturated / (1 + (unsaturated / saturation) ** SHARPNESS) ** (1 / SHARPNESS)
-        return jnp.sign(command) * self.scales.command * saturated
+        share = jnp.where(is_open, self._share(above_opening), 0.0) / self.largest_share
+        return jnp.sign(command) * self.scales.command * share
+
+    @property
+    def largest_share(self) -> Float[Array, ""]:
+        """f₁, what f is at the largest command."""
+        return self._share(limited(1 - self.named("opening")[0], LINEAR_OPENING))
+
+    def _share(self, above_opening: Float[Array, "*b"]) -> Float[Array, "*b"]:
+        """Return f of z − d > 0."""
+        exponent, saturation = self.named("exponent", "saturation")
+        power = limited(above_opening, LINEAR_OPENING) ** exponent
+        power *= limited(above_opening / LINEAR_OPENING, highest=1.0)
+        return power / (1 + (power / saturation) ** SHARPNESS) ** (1 / SHARPNESS)
 
     @property
     def opening_command(self) -> Float[Array, ""]:
@@ -267,7 +289,7 @@ class StaticNonlinearity(eqx.Module):
         Not finite for a flow that saturation does not let through.
         """
         opening, exponent, saturation = self.named("opening", "exponent", "saturation")
-        saturated = flow / self.scales.command
+        saturated = flow / self.scales.command * self.largest_share
         unsaturated = saturated / (1 - (saturated / saturation) ** SHARPNESS) ** (1 / SHARPNESS)
         straight = LINEAR_OPENING ** (1 - exponent) * unsaturated
         above_opening = jnp.maximum(unsaturated, 0.0) ** (1 / exponent)
@@ -292,7 +314,7 @@ class StaticNonlinearity(eqx.Module):
 
     def with_opening_shifted(self, shift: Float[Array, ""]) -> "StaticNonlinearity":
         """Return the curves with d + s in place of d, s a share of U."""
-        number = [parameter.name for parameter in NONLINEARITY_PARAMETERS].index("opening")
+        number = [parameter.name for parameter in NONLINEARITY_PARAMETERS].index(OPENING)
         return StaticNonlinearity(self.values.at[number].add(shift), self.scales)
 
     def named(self, *names: str) -> tuple[Array, ...]:

@@ -89,7 +89,11 @@ class PhysicalModel(eqx.Module):
         values = self.values
         for quantity, change in zip(scheduling.quantities, changes, strict=True):
             if quantity == OPENING:
-                nonlinearity = nonlinearity.with_opening_shifted(change)
+                shifted = nonlinearity.with_opening_shifted(change)
+                # A load shifts the curve and does not stretch it: at the largest command more or less flows.
+                ratio = shifted.largest_share / nonlinearity.largest_share
+                values = values.at[names.index(self.structure.gain)].multiply(ratio)
+                nonlinearity = shifted
             else:
                 values = values.at[names.index(quantity)].multiply(jnp.exp(change))
         return PhysicalModel(self.structure, values, self.dead_time_s, nonlinearity)
