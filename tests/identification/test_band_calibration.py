@@ -10,6 +10,7 @@ import pytest
 from scipy import stats
 
 from hitchid.baselines.registry import delayed
+from hitchid.errors import FitError
 from hitchid.estimation.training import AdamConfig
 from hitchid.identification import ModelSpec, MultiStart, held_out_training
 from hitchid.identification.held_out import cross_fitted
@@ -19,6 +20,7 @@ from hitchid.identification.held_out_training import (
     calibrate_bands,
     with_compensators,
 )
+from hitchid.identification.mode_test import with_gain
 from hitchid.identification.phase1 import identify_benchmark
 from hitchid.identification.phase2 import CompensatorConfig, train_compensator
 from hitchid.logs.record import LIFTING
@@ -186,3 +188,12 @@ def test_a_member_of_the_ensemble_is_a_standard_error_away(make_record):
     (moved,) = held_out_training._ensemble(scaled, phase1)
     assert moved.benchmark[0] == pytest.approx(1.05 * member.benchmark[0], rel=1e-12)
     assert jnp.isfinite(scaled.benchmark.gain)
+
+
+def test_a_band_wider_than_the_range_is_none(make_record):
+    batch = exchangeable(make_record, np.random.default_rng(1), 3)
+    channel, phase1, _ = calibrated(batch)
+    # Of models fitted without a fold that run far away, errors say nothing of where a piston is.
+    lost = [each._replace(channel=with_gain(each.channel, 50.0)) for each in cross_fitted(channel, phase1)]
+    with pytest.raises(FitError, match=r"no band can be given: of 90 % it would be .* wide on average"):
+        calibrate_bands(channel, phase1, batch, lost)

@@ -12,6 +12,7 @@ import optax
 from jaxtyping import Array, PRNGKeyArray, PyTree
 
 from hitchid._support.numbers import count
+from hitchid.errors import FitError
 from hitchid.estimation.training import every_nth, optimiser, pad_to_batches
 from hitchid.identification.held_out import (
     HeldOut,
@@ -30,7 +31,7 @@ from hitchid.identification.phase2 import (
     untrained_compensator,
 )
 from hitchid.model import Channel
-from hitchid.model.bands import Bands, EnsembleMember
+from hitchid.model.bands import Bands, EnsembleMember, free_run_half_width
 from hitchid.model.free_run import ensemble_deviations
 from hitchid.networks.error_compensator import MAX_HORIZON
 from hitchid.networks.lstm import Lstm
@@ -46,6 +47,7 @@ from hitchid.uncertainty.conformal import (
 
 # How far ahead a compensator for predictions corrects: so far that it does not diverge on tests held out.
 
+STATED_LEVEL = 0.9  # of the bands that reports state
 MAX_HORIZONS = (MAX_HORIZON, 50, 20, 10, 5, 2, 1)  # that are tried, in samples; chosen
 # A compensator whose error is larger than so many times that without it diverges; chosen: trained on three
 # quarters of the tests it may be a fifth worse, and one that diverges is worse by any factor.
@@ -138,6 +140,9 @@ def calibrate_bands(
     (cross-fitting; with the tests as groups that of CV+, Barber et al. 2021, around the channel's own
     prediction). The errors, divided by the spread, give the factors of the bands.
     Errors of predictions are computed where they are not given.
+
+    Raises:
+        FitError: the bands say nothing: around a free run they are wider than the range of displacement.
     """
     tests = batch.command.shape[0]
     ensemble, spreads = _selected_ensemble(channel, phase1, batch)
@@ -147,7 +152,7 @@ def calibrate_bands(
     noise = sensor_noise(residuals)
     if predicted is None:
         predicted = held_out_errors(held_out, batch, calibrated_horizons(batch.step_s))
-    return Bands(
+    bands = Bands(
         ensemble=ensemble,
         noise=noise,
         levels=LEVELS,
@@ -155,6 +160,14 @@ def calibrate_bands(
         predictions=prediction_spread(predicted, noise),
         tests=(tests, tests),
     )
+    width = 2 * float(np.mean(free_run_half_width([bands], [spreads], STATED_LEVEL)[loss_mask]))
+    extent = float(np.ptp(np.asarray(batch.displacement)[loss_mask]))
+    if not width <= extent:
+        raise FitError(
+            f"no band can be given: of {100 * STATED_LEVEL:g} % it would be {width:.3g} wide on average, and "
+            f"the displacement has a range of {extent:.3g}; measure more tests"
+        )
+    return bands
 
 
 def band_notices(tests: int) -> list[str]:
