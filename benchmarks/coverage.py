@@ -169,14 +169,14 @@ def identify_given(plant: Plant, seed: int) -> Phase1:
 
 
 def identify_chosen(plant: Plant, seed: int) -> tuple[Phase1, str]:
-    """Choose a form for one simulated campaign automatically and identify it; returns its name too."""
+    """Choose a form for one simulated campaign automatically and identify it; returns what it has, too."""
     records, zone, error = campaign(plant, np.random.default_rng(seed))
     batch = Batch.of(records, LIFTING, dead_zone=zone, sign=1)
     auto_structure = AutoStructure(ModelSpec(structure_named("integrator-second-order")))
-    phase1, candidates = choose_spec(
+    phase1, _ = choose_spec(
         batch, auto_structure, SEARCH, 0, units=UNITS, opening_known=True, dead_zone=error
     )
-    return phase1, next(candidate.name for candidate in candidates if candidate.chosen)
+    return phase1, ", ".join(parameter.name for parameter in phase1.fit.objective.spec.parameters)
 
 
 def best_fitting(plant: Plant) -> dict[str, float]:

@@ -3,17 +3,34 @@
 import numpy as np
 import pytest
 
-from hitchid.identification.candidates import Candidate, best_candidate, held_out_errors_of_choice
+from hitchid.identification.candidates import (
+    Candidate,
+    best_candidate,
+    held_out_errors_of_choice,
+    is_missed,
+)
 from hitchid.structures import ModelSpec, structure_named
 
 SPEC = ModelSpec(structure_named("integrator"))
 FOLD = np.arange(12) % 4
 
 
-def candidate(held_out, per_test_gain=None):
+def candidate(held_out, per_test_gain=None, *, rmse=(1.0, 1.0), spec=SPEC, name="a form", base=""):
     held_out = np.asarray(held_out)
     per_test_gain = held_out if per_test_gain is None else np.asarray(per_test_gain)
-    return Candidate("a form", SPEC, np.ones(1), 1.0, 0.0, held_out, per_test_gain, FOLD[: held_out.size])
+    return Candidate(
+        name=name,
+        spec=spec,
+        values=np.ones(len(spec.parameters)),
+        rmse=rmse[0],
+        rmse_per_test_gain=rmse[1],
+        observations=np.array([100.0, 100.0]),
+        dead_zone=0.0,
+        held_out=held_out,
+        held_out_per_test_gain=per_test_gain,
+        fold=FOLD[: held_out.size],
+        base=base,
+    )
 
 
 @pytest.fixture
@@ -66,3 +83,58 @@ def test_a_choice_by_chance_has_no_smaller_error():
     # Logarithms of zero mean: the standard error of 300 choices of 12 tests each is 0.5/√3600 = 0.0083.
     assert np.mean(choice_errors) > np.mean(chosen_errors)
     assert abs(np.mean(choice_errors)) < 4 * 0.0083
+
+
+LARGER = ModelSpec(structure_named("integrator"), dead_time=True)
+
+
+@pytest.mark.parametrize(
+    ("rmse", "held_out", "missed"),
+    [
+        # N ln(J²/J₀²) of 100 independent errors is 3.84, the 95 % quantile of χ² of one parameter, at 1.0194.
+        ((1.019, 1.019), 1.0, False),
+        ((1.020, 1.0), 1.0, True),
+        ((1.0, 1.020), 1.0, True),
+        ((1.01, 1.01), 1.09, False),
+        ((1.01, 1.01), 1.11, True),
+        ((1.001, 1.001), 2.0, False),
+    ],
+    ids=["as good", "fit", "with a gain per test", "a tenth", "more than a tenth", "the same form"],
+)
+def test_what_fit_or_held_out_tests_miss_stays(scatter, rmse, held_out, missed):
+    factors = np.exp(10 * (np.log(scatter) - np.log(scatter).mean()))  # a scatter in which 11 % are nothing
+    level = factors / np.sqrt(np.mean(factors**2))
+    larger = candidate(np.ones(12), spec=LARGER)
+    smaller = candidate(held_out * level, rmse=rmse)
+    assert is_missed(smaller, [larger]) == missed
+
+
+@pytest.mark.parametrize(
+    ("rmse", "held_out", "taken"),
+    [(0.8, 0.88, True), (0.8, 0.93, False), (0.98, 0.88, False)],
+    ids=["proved", "less than a tenth", "not proved"],
+)
+def test_what_all_samples_prove_is_taken_though_few_tests_do_not(rmse, held_out, taken):
+    # One test is worse than the others by far, and alone gains: Student's t over the tests says nothing.
+    errors, larger_errors = np.ones(12), np.exp(0.1 * np.where(np.arange(12) % 2, 1, -1))
+    errors[0] = 5.0
+    larger_errors[0] = np.sqrt(held_out**2 * np.sum(errors**2) - np.sum(larger_errors[1:] ** 2))
+    larger = candidate(larger_errors, rmse=(rmse, 1.0), spec=LARGER)
+    assert best_candidate([candidate(errors), larger]) == int(taken)
+
+
+def test_a_loss_on_every_held_out_test_counts_from_two_percent(scatter):
+    larger = candidate(np.ones(12), spec=LARGER)
+    noise = 1 + 0.01 * (scatter - scatter.mean())
+    assert is_missed(candidate(1.03 * noise, rmse=(1.01, 1.01)), [larger])
+    assert not is_missed(candidate(1.01 * noise, rmse=(1.01, 1.01)), [larger])
+
+
+def test_each_form_is_part_of_the_one_before_it():
+    grown = candidate(0.5 * np.ones(12), name="grown", spec=LARGER)
+    less = candidate(0.5 * np.ones(12), name="less", base="grown")
+    stranger = candidate(0.5 * np.ones(12), name="stranger", base="another")
+    assert best_candidate([candidate(np.ones(12)), grown, less]) == 2
+    assert best_candidate([candidate(np.ones(12)), grown, stranger]) == 1
+    # What was not taken has no parts.
+    assert best_candidate([candidate(np.ones(12)), candidate(np.ones(12), name="grown"), less]) == 0

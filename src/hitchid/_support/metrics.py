@@ -140,6 +140,28 @@ def better_on_held_out_tests(errors: np.ndarray, other_errors: np.ndarray, compa
     return is_relevant and log_ratio_p_value(errors, other_errors) < HELD_OUT_LEVEL / comparisons
 
 
+def independent_observations(errors: np.ndarray) -> float:
+    """Return of how many independent errors as many correlated ones tell as much, n/τ of all tests.
+
+    τ = 1 + 2 Σ ρ(k), ρ(k) the autocorrelation of the errors of all tests together, without their mean taken
+    off: what a test has of its own is one error, not as many as samples. The sum ends before the first pair
+    of neighbouring lags that is not positive (Geyer 1992, Statistical Science 7, 473).
+
+    Args:
+        errors: of the tests, zero where samples do not count, shape [T, N].
+    """
+    samples = int(np.count_nonzero(errors))
+    length = 2 * errors.shape[1]  # zeros behind each test: no lag reaches from its end to its beginning
+    spectrum = np.abs(np.fft.rfft(errors, length, axis=1)) ** 2
+    correlation = np.fft.irfft(spectrum.sum(axis=0), length)[: errors.shape[1]]
+    if correlation[0] <= 0:
+        return 0.0
+    pairs = correlation[: 2 * (errors.shape[1] // 2)].reshape(-1, 2).sum(axis=1) / correlation[0]
+    negative = np.flatnonzero(pairs <= 0)
+    time = 2 * pairs[: negative[0] if negative.size else None].sum() - 1
+    return samples / max(float(time), 1.0)
+
+
 def log_ratio_p_value(errors: np.ndarray, other_errors: np.ndarray) -> float:
     """Return the one-sided p-value of one model having smaller errors than another on a typical test.
 

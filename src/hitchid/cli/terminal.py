@@ -202,7 +202,7 @@ def _show_candidates(trace: "ChannelTrace", unit: str) -> None:
     _narrow_console().print(_table(header, rows, kind=box.SIMPLE_HEAD))
     _print_wrapped(
         "A larger structure is taken where it is significantly better on levels held out, as it is or with a "
-        "gain for each test, and not significantly worse in the other."
+        "gain for each test, and not significantly worse in the other. Then what no test misses goes."
     )
     _print_wrapped(
         f"RMSE {trace.choice_held_out_rmse:.4g} {unit} in free run on levels that neither fitted nor chose "

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from hitchid._support.metrics import independent_observations
 from hitchid._support.records import short_repr
 from hitchid.errors import FitError
 from hitchid.estimation.least_squares import LeastSquaresResult, best_refined
@@ -213,6 +214,12 @@ class Objective(eqx.Module):
         loss_mask = np.asarray(self.batch.loss_mask)
         residuals = self._compiled().residuals(position)[: len(loss_mask)]
         return residuals[loss_mask], np.repeat(np.arange(len(loss_mask)), loss_mask.sum(axis=1))
+
+    def independent_observations(self, position: np.ndarray) -> float:
+        """Return of how many independent errors the residuals at a position tell as much."""
+        mask = np.asarray(self.batch.loss_mask)
+        residuals = self._compiled().residuals(position)[: len(mask)]
+        return independent_observations(np.where(mask, residuals, 0.0))
 
     def travel(self, position: np.ndarray) -> Float[np.ndarray, "t n"]:
         """Return the simulated travel at a position where samples count, without a factor on each test."""

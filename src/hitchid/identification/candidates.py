@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.stats import chi2
 
 from hitchid._support.checkpoints import Cube, Shapes
-from hitchid._support.metrics import better_on_held_out_tests, log_ratio_p_value
+from hitchid._support.metrics import MIN_IMPROVEMENT, better_on_held_out_tests, log_ratio_p_value
 from hitchid._support.records import short_repr
 from hitchid.estimation import Objective, refine_subset
 from hitchid.structures import Batch, CovariateEffects, ModelSpec, Parameter, structure_named
@@ -160,7 +161,9 @@ LEVEL_TOLERANCE = 0.01  # share of the range of levels within which tests are at
 STEPS = 40  # largest number of least-squares iterations from each start; chosen
 REFIT_STEPS = 4  # iterations of the refit without a fold: the start and three damped steps
 FIGURES = 2  # compared of each candidate: free run as it is, and with a gain for each test
-WORSE_LEVEL = 0.05  # level of the one-sided test that a candidate is worse in the other figure; chosen
+WORSE_LEVEL = 0.05  # level of the tests that a candidate is worse in a figure, or misses a parameter; chosen
+SAME_FIT = 1.001  # ratio of RMSE up to which two forms are the same; chosen
+CLEAR_RATIO = 1.1  # of RMSE on held-out tests, that counts without significance from test to test; chosen
 MIN_GAIN_TESTS = 6  # fewest held-out tests for comparing structures with a gain per test; chosen
 
 
@@ -174,22 +177,28 @@ class Candidate:
         spec: its model specification.
         values: its parameters at the optimum, shape [D].
         rmse: free-run RMSE over all identification tests with equal weights.
+        rmse_per_test_gain: the same with a gain fitted to each test.
+        observations: how many independent errors either tells as much as, shape [2].
         dead_zone: dead zone at which it was fitted, in the command's unit.
         held_out: free-run RMSE of each test whose operating point was held out in turn, shape [H].
         held_out_per_test_gain: the same with a gain fitted to each test, shape [H].
         fold: index of the fold that each of these tests was held out with, shape [H].
         chosen: whether it was chosen.
+        base: name of the larger candidate of which it is a part; empty for one that adds something.
     """
 
     name: str
     spec: ModelSpec
     values: np.ndarray
     rmse: float
+    rmse_per_test_gain: float
+    observations: np.ndarray
     dead_zone: float
     held_out: np.ndarray
     held_out_per_test_gain: np.ndarray
     fold: np.ndarray
     chosen: bool = False
+    base: str = ""
 
     @property
     def named_values(self) -> dict[str, float]:
@@ -208,21 +217,43 @@ class Candidate:
         return float(np.sqrt(np.mean(self.held_out_per_test_gain**2)))
 
     def is_better(self, other: "Candidate", comparisons: int, tests: np.ndarray) -> bool:
-        """Return whether it predicts held-out tests significantly better than another candidate.
+        """Return whether it predicts held-out tests better than another candidate, and not by chance.
 
         In free run as it is, or, over six tests or more, with a gain fitted to each test: the unmeasured load
-        of a test changes its speed from the first sample to the last and may hide what a form adds. In the
-        figure that does not decide it must not be significantly worse (5 %).
+        of a test changes its speed from the first sample to the last and may hide what a form adds. By 2 %
+        where that holds from test to test, see `better_on_held_out_tests`, or by 10 % where the fits to all
+        tests tell the forms apart, see `tells_apart`. In the figure that does not decide it must not be
+        significantly worse (5 %).
         """
         free_run = self.held_out[tests], other.held_out[tests]
         per_test_gain = self.held_out_per_test_gain[tests], other.held_out_per_test_gain[tests]
-        if better_on_held_out_tests(*free_run, comparisons=comparisons):
-            return not _significantly_worse(*per_test_gain)
-        return (
-            int(np.count_nonzero(tests)) >= MIN_GAIN_TESTS
-            and better_on_held_out_tests(*per_test_gain, comparisons=comparisons)
-            and not _significantly_worse(*free_run)
-        )
+        counts = (True, int(np.count_nonzero(tests)) >= MIN_GAIN_TESTS)
+        level = WORSE_LEVEL / comparisons
+        is_told_apart = tells_apart(other, self, level)
+        for figure, beside, is_told, is_counted in zip(
+            (free_run, per_test_gain), (per_test_gain, free_run), is_told_apart, counts, strict=True
+        ):
+            is_better = better_on_held_out_tests(*figure, comparisons=comparisons) or (
+                is_told and _growth(*figure) * CLEAR_RATIO < 1
+            )
+            if is_counted and is_better and not _significantly_worse(*beside):
+                return True
+        return False
+
+
+def _growth(errors: np.ndarray, other_errors: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(errors**2) / np.mean(other_errors**2))) if errors.size else 1.0
+
+
+def tells_apart(smaller: Candidate, larger: Candidate, level: float) -> np.ndarray:
+    """Return in which figures all tests together prove a larger form, shape [2].
+
+    N ln(J²/J₀²) > χ² of the parameters that it has more, N independent errors of the smaller form (Wilks
+    1938, Annals of Mathematical Statistics 9, 60). Few tests vary too much to show what samples prove.
+    """
+    more = len(larger.spec.parameters) - len(smaller.spec.parameters)
+    ratios = np.array([smaller.rmse, smaller.rmse_per_test_gain]) / (larger.rmse, larger.rmse_per_test_gain)
+    return (2 * smaller.observations * np.log(ratios) > chi2.ppf(1 - level, max(more, 1))) & (more > 0)
 
 
 def _significantly_worse(errors: np.ndarray, other_errors: np.ndarray) -> bool:
@@ -235,6 +266,8 @@ class Evaluation:
 
     positions: np.ndarray
     rmse: float
+    rmse_per_test_gain: float
+    observations: np.ndarray
     held_out: np.ndarray
     held_out_per_test_gain: np.ndarray
     fold: np.ndarray
@@ -246,6 +279,8 @@ class Evaluation:
             spec=spec,
             values=objective.values(self.positions)[list(free)],
             rmse=self.rmse,
+            rmse_per_test_gain=self.rmse_per_test_gain,
+            observations=self.observations,
             dead_zone=float(objective.batch.dead_zone[0]),
             held_out=self.held_out,
             held_out_per_test_gain=self.held_out_per_test_gain,
@@ -262,11 +297,48 @@ def best_candidate(candidates: Sequence[Candidate], tests: np.ndarray | None = N
     The smallest comes first, all over the same held-out tests.
     """
     counted = np.ones(candidates[0].fold.size, bool) if tests is None else tests
-    best = 0
-    for number, candidate in enumerate(candidates):
-        if number and candidate.is_better(candidates[best], FIGURES * (len(candidates) - 1), counted):
-            best = number
+    best = grown = 0
+    comparisons = FIGURES * sum(not candidate.base for candidate in candidates[1:])
+    for number, candidate in enumerate(candidates[1:], 1):
+        if candidate.base:
+            larger = (candidates[best], candidates[grown])
+            if candidate.base == larger[0].name and not is_missed(candidate, larger, counted):
+                best = number
+        elif candidate.is_better(candidates[best], comparisons, counted):
+            best = grown = number
     return best
+
+
+def is_missed(smaller: Candidate, larger: Sequence[Candidate], tests: np.ndarray | None = None) -> bool:
+    """Return whether what forms have more than a smaller one is missed, in free run or with a gain per test.
+
+    It is where all tests together tell the forms apart (5 %), see `tells_apart`, or where the smaller one is
+    worse on held-out tests, by 10 % or significantly (5 %) by 2 %. A form that fits as well to a thousandth
+    is the same: its parameters had no effect, and moved held-out tests by chance.
+
+    Args:
+        smaller: the form that may do.
+        larger: those it is a part of: the one before it, and that which the choice had grown.
+        tests: which held-out tests count; None for all.
+    """
+    counted = np.ones(smaller.fold.size, bool) if tests is None else tests
+    return any(_misses(smaller, other, counted) for other in larger)
+
+
+def _misses(smaller: Candidate, other: Candidate, counted: np.ndarray) -> bool:
+    ratios = (smaller.rmse / other.rmse, smaller.rmse_per_test_gain / other.rmse_per_test_gain)
+    if max(ratios) <= SAME_FIT:
+        return False
+    if np.any(tells_apart(smaller, other, WORSE_LEVEL)):
+        return True
+    figures = [(smaller.held_out[counted], other.held_out[counted])]
+    if np.count_nonzero(counted) >= MIN_GAIN_TESTS:
+        figures.append((smaller.held_out_per_test_gain[counted], other.held_out_per_test_gain[counted]))
+    return any(
+        _growth(*figure) > CLEAR_RATIO
+        or (_growth(*figure) > MIN_IMPROVEMENT and _significantly_worse(*figure))
+        for figure in figures
+    )
 
 
 def held_out_errors_of_choice(candidates: Sequence[Candidate]) -> np.ndarray:
@@ -316,7 +388,7 @@ def evaluate(
     full least-squares run is ill-conditioned. The error is therefore slightly too small for large candidates.
     """
     pooled, per_test_gain = objective.pooled(), replace(objective, per_test_gain=True)
-    rmse = pooled.error(positions)
+    observations = [figure.independent_observations(positions) for figure in (pooled, per_test_gain)]
     held_out, held_out_per_test_gain = [], []
     for held_tests in folds:
         training_objective = objective.over(~held_tests)
@@ -325,14 +397,23 @@ def evaluate(
         held_out += list(pooled.rmse_by_test(refitted)[held_tests])
         held_out_per_test_gain += list(per_test_gain.rmse_by_test(refitted)[held_tests])
     fold = np.repeat(np.arange(len(folds)), [int(held_tests.sum()) for held_tests in folds])
-    return Evaluation(positions, rmse, np.array(held_out), np.array(held_out_per_test_gain), fold)
+    return Evaluation(
+        positions,
+        pooled.error(positions),
+        per_test_gain.error(positions),
+        np.array(observations),
+        np.array(held_out),
+        np.array(held_out_per_test_gain),
+        fold,
+    )
 
 
 def evaluation_shapes(objective: Objective, folds: Sequence[np.ndarray]) -> Shapes:
     """Return the shapes of the arrays of an `Evaluation`."""
     held_out = (int(sum(held_tests.sum() for held_tests in folds)),)
     errors = dict.fromkeys(("held_out", "held_out_per_test_gain", "fold"), held_out)
-    return {"positions": Cube((len(objective.spec.parameters),)), **errors}
+    positions = Cube((len(objective.spec.parameters),))
+    return {"positions": positions, "observations": (FIGURES,), **errors}
 
 
 def operating_point_folds(batch: Batch, *, separate_tests: bool) -> list[np.ndarray]:

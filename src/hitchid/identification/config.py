@@ -252,6 +252,7 @@ def _describe_spec(spec: ModelSpec | AutoStructure) -> dict[str, object]:
         "load": list(spec.covariate_names),
         "load_dynamics": any(effects.dynamics for effects in spec.covariates),
         "load_quadratic": any(effects.quadratic for effects in spec.covariates),
+        "without": list(spec.without),
         "bounds": {name: list(limits) for name, limits in spec.bounds.items()},
     }
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid._support.progress import ProgressCallback, ProgressUpdate, attempt, split_progress
+from hitchid._support.checkpoints import DISABLED
+from hitchid._support.progress import ProgressCallback, ProgressUpdate, attempt, silent, split_progress
 from hitchid.estimation.training import TrainingHistory
 from hitchid.identification.config import ChannelConfig
 from hitchid.identification.dead_zone import DeadZone
@@ -27,6 +28,7 @@ from hitchid.identification.mode_test import with_gain
 from hitchid.identification.phase1 import Phase1, identify_benchmark
 from hitchid.identification.phase2 import CompensatorConfig, epoch_callback, with_compensator
 from hitchid.identification.preparation import ChannelData
+from hitchid.identification.repeated_choice import repeat_choice
 from hitchid.identification.result import ChannelTrace
 from hitchid.identification.rivals import quick_rivals
 from hitchid.identification.selection import AutoStructure, Candidate, choose_spec
@@ -88,6 +90,12 @@ def find_benchmark(
         for estimate in phase1.parameter_estimates
         if not estimate.determined
     )
+    if isinstance(config.spec, AutoStructure) and config.spec.repeats and candidates:
+        log.tell("speed map", "repeating the choice of the form")
+        with log.timed("repeated choices"):
+            repeats = config.spec.repeats
+            sentence = attempt("repeated choices", lambda: _repeated(data, config, repeats), log.notices)
+        log.notices.extend([sentence] if sentence else [])
     # The form that was chosen may have a smaller dead zone; its shift is part of the error.
     dead_zone = data.dead_zone
     for candidate in candidates:
@@ -324,6 +332,23 @@ def _within_update_interval(phase1: Phase1, update_s: float) -> Phase1:
 
     parameters = tuple(widened(estimate) for estimate in phase1.assessment.parameters)
     return replace(phase1, assessment=replace(phase1.assessment, parameters=parameters))
+
+
+def _repeated(data: ChannelData, config: ChannelConfig, repeats: int) -> str:
+    """Return how often tests that differ a little give the same form; nothing of it is resumed."""
+    quiet = replace(config, checkpoints=DISABLED)
+
+    def choose(batch: Batch) -> Sequence[Candidate]:
+        return _fit_benchmark(replace(data, all_tests=batch), quiet, silent)[1]
+
+    return repeat_choice(
+        data.all_tests,
+        choose,
+        repeats,
+        dead_zone=data.dead_zone.error,
+        unit=config.units["x"],
+        seed=config.seed,
+    )
 
 
 def _fit_benchmark(

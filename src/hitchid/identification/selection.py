@@ -32,6 +32,7 @@ from hitchid.identification.candidates import (
     with_positions,
 )
 from hitchid.identification.phase1 import Fit, Phase1, assess_fit, continue_fit, find_parameters
+from hitchid.identification.smaller_forms import smaller_candidates
 from hitchid.structures import Batch, ModelOption, ModelSpec, Structure, external_structures, structure_named
 from hitchid.uncertainty import NO_ERROR, DeadZoneError
 
@@ -50,10 +51,12 @@ class AutoStructure:
     Attributes:
         baseline_spec: specification the choice starts from and must improve on.
         covariate_names: names of the covariates that may be used; empty for all of the campaign.
+        repeats: how often the choice is made again from tests that differ a little; see `repeat_choice`.
     """
 
     baseline_spec: ModelSpec
     covariate_names: tuple[str, ...] = ()
+    repeats: int = 0
 
 
 def choose_spec(
@@ -112,6 +115,9 @@ def choose_spec(
             break
     for structure in external_structures():
         candidates += choice.candidates_of(structure, candidates[chosen])
+        chosen = best_candidate(candidates)
+    if chosen:
+        candidates += smaller_candidates(candidates[chosen], choice.coarse, choice.fitted)
         chosen = best_candidate(candidates)
     candidates[chosen] = replace(candidates[chosen], chosen=True)
     fit = choice.final_fit(candidates[chosen], candidates[0], baseline) if chosen else baseline
@@ -201,7 +207,7 @@ class _Choice:
             new_starts = starts(spec, [] if len(candidates) == 1 else previous.parameters)
             all_starts = [with_positions(positions, names, start) for start in ({}, *new_starts)]
             try:
-                evaluation = self._fitted(f"form {name}", objective, free, all_starts)
+                evaluation = self.fitted(f"form {name}", objective, free, all_starts)
             except FitError:
                 continue
             if spec.valve_curve and not previous.valve_curve and revised:
@@ -221,7 +227,7 @@ class _Choice:
             free = [names.index(parameter.name) for parameter in spec.parameters]
             objective = replace(objective, per_test_gain=allows_per_test_gain(self.coarse, spec))
             try:
-                evaluation = self._fitted(f"form {base.name} {name}", objective, free, [positions])
+                evaluation = self.fitted(f"form {base.name} {name}", objective, free, [positions])
             except FitError:
                 continue
             positions = evaluation.positions
@@ -251,7 +257,7 @@ class _Choice:
                     fit = self.search_fit(spec, part="external", checkpoint=f"plain {name}")
                     values = dict(zip(names, fit.values.tolist(), strict=True))
                 start = _positions_of(objective, names, {**incumbent.named_values, **values})
-                evaluation = self._fitted(f"form {name}", objective, range(len(names)), [start])
+                evaluation = self.fitted(f"form {name}", objective, range(len(names)), [start])
             except FitError:
                 continue
             candidates.append(evaluation.candidate(name, spec, objective, range(len(names))))
@@ -271,14 +277,14 @@ class _Choice:
         all_starts = [with_positions(start, names, added) for added in addition_starts]
         name = f"{incumbent.name} and {addition}"
         try:
-            evaluation = self._fitted(f"form {name}", objective, range(len(names)), all_starts)
+            evaluation = self.fitted(f"form {name}", objective, range(len(names)), all_starts)
         except FitError:
             return []
         candidate = evaluation.candidate(name, spec, objective, range(len(names)))
         self._report("candidates", candidate, 1.0)
         return [candidate]
 
-    def _fitted(
+    def fitted(
         self, name: str, objective: Objective, free: Sequence[int], starts: Sequence[np.ndarray]
     ) -> Evaluation:
         work = partial(fit_and_evaluate, objective, free, starts, self.folds)
@@ -306,7 +312,7 @@ class _Choice:
             start = other_objective.position(objective.values(evaluation.positions))
             all_starts = [start, *(with_positions(start, names, curve) for curve in CURVE_STARTS)]
             try:
-                other = self._fitted(f"form behind {share:g}", other_objective, free, all_starts)
+                other = self.fitted(f"form behind {share:g}", other_objective, free, all_starts)
             except FitError:
                 continue
             # No division by the number of shares: the others are tried only if the first is better.

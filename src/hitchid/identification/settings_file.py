@@ -60,6 +60,7 @@ class ChannelSection(StrictSettings):
     load: str | tuple[str, ...] = ()
     load_dynamics: bool = False
     load_quadratic: bool = False
+    without: tuple[str, ...] = ()
     dead_zone: float | None = Field(default=None, ge=0)
     bounds: dict[str, tuple[float, float]] = Field(default_factory=dict)
 
@@ -88,7 +89,14 @@ class ChannelSection(StrictSettings):
             stroke_gain_linear=self.slope,
             stroke_gain_quadratic=self.position,
             covariates=tuple(CovariateEffects(name, *effects) for name in self.covariate_names),
+            without=tuple(sorted(set(self.without))),
         )
+
+
+class ChoiceSection(StrictSettings):
+    """`[choice]`."""
+
+    repeats: int = Field(default=0, ge=0, le=1000)
 
 
 class SearchSection(StrictSettings):
@@ -157,6 +165,7 @@ class IdentifyFile(StrictSettings):
     drift: bool | None = None
     lifting: ChannelSection = ChannelSection()
     lowering: ChannelSection = ChannelSection()
+    choice: ChoiceSection = ChoiceSection()
     search: SearchSection = SearchSection()
     training: TrainingSection = TrainingSection()
     rivals: RivalsSection = RivalsSection()
@@ -182,8 +191,12 @@ class IdentifyFile(StrictSettings):
         sections: Mapping[str, ChannelSection] = {
             direction: getattr(self, direction) for direction in DIRECTIONS
         }
+        specs = {direction: section.spec(direction) for direction, section in sections.items()}
+        for direction, spec in specs.items():
+            if isinstance(spec, AutoStructure):
+                specs[direction] = replace(spec, repeats=self.choice.repeats)
         return {
-            "structure": {direction: section.spec(direction) for direction, section in sections.items()},
+            "structure": specs,
             "search": self.search.search(),
             "training": self.training.training(),
             "dead_zones": {

@@ -1,6 +1,6 @@
 """The form of one direction: a structure, and the options that are identified with it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 
 import jax.numpy as jnp
@@ -40,6 +40,7 @@ class ModelSpec:
             its speed during estimation.
         stroke_gain_quadratic: whether a gain that varies along the stroke in any way is, slope and curve.
         covariates: measured inputs that parameters vary with, and what each changes.
+        without: names of parameters of these options that the form goes without: each has no effect.
         bounds: parameter name to lower and upper bound, in its unit, where the default will not do.
     """
 
@@ -51,6 +52,7 @@ class ModelSpec:
     stroke_gain_linear: bool = False
     stroke_gain_quadratic: bool = False
     covariates: tuple[CovariateEffects, ...] = ()
+    without: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse options that the structure does not take, and bounds that do not fit."""
@@ -60,6 +62,10 @@ class ModelSpec:
                 f"structure '{self.structure.name}' has no {' and no '.join(refused)}; "
                 "choose another structure"
             )
+        optional = replace(self, without=())._curves_and_effects() if self.without else frozenset()
+        for name in set(self.without) - optional:
+            expected = ", ".join(sorted(optional)) or "none, for there are no curves and no covariates"
+            raise InputError(f"without: there is no parameter '{name}' of an option; expected {expected}")
         by_name = {parameter.name: parameter for parameter in self.parameters}
         for name, (lower, upper) in self.bounds.items():
             if name not in by_name:
@@ -99,7 +105,32 @@ class ModelSpec:
         option_names = {parameter.name for parameter in spec.parameters} - {
             p.name for p in structure.parameters
         }
-        return replace(spec, bounds={name: self.bounds[name] for name in option_names & self.bounds.keys()})
+        without = tuple(name for name in self.without if name in option_names)
+        bounds = {name: self.bounds[name] for name in option_names.difference(without) & self.bounds.keys()}
+        return replace(spec, bounds=bounds, without=without)
+
+    def limited_to(self, names: Set[str]) -> "ModelSpec":
+        """Return the smallest form that has those of this one's optional parameters that are named."""
+        kept = {parameter.name for parameter in self.parameters} & names
+        scheduled = {effects: {p.name for p in self._effects(effects)} for effects in self.covariates}
+        curved, played = ({p.name for p in group} for group in (VALVE_CURVE, SPOOL_DYNAMICS))
+        slope, curve = (parameter.name for parameter in STROKE_GAIN_QUADRATIC)
+        smallest = replace(
+            self,
+            dead_time=DEAD_TIME.name in kept,
+            valve_curve=bool(curved & kept),
+            spool_dynamics=bool(played & kept),
+            stroke_gain_linear=slope in kept and curve not in kept,
+            stroke_gain_quadratic=curve in kept,
+            covariates=tuple(
+                effects.limited_to(self.structure.require_linear(), kept)
+                for effects, effect_names in scheduled.items()
+                if effect_names & kept
+            ),
+            bounds={name: limits for name, limits in self.bounds.items() if name in kept},
+            without=(),
+        )
+        return replace(smallest, without=tuple(sorted(smallest._curves_and_effects() - kept)))
 
     @property
     def covariate_names(self) -> tuple[str, ...]:
@@ -115,16 +146,21 @@ class ModelSpec:
             (self.stroke_gain_linear and not self.stroke_gain_quadratic, STROKE_GAIN_LINEAR),
             (self.stroke_gain_quadratic, STROKE_GAIN_QUADRATIC),
         )
-        return tuple(parameter for enabled, group in groups if enabled for parameter in group)
+        return self._with_effect(parameter for enabled, group in groups if enabled for parameter in group)
 
     @property
     def covariate_parameters(self) -> tuple[Parameter, ...]:
         """The effects of the covariates that are searched."""
-        return tuple(
-            parameter
-            for effects in self.covariates
-            for parameter in effects.parameters(self.structure.require_linear())
-        )
+        return self._with_effect(p for effects in self.covariates for p in self._effects(effects))
+
+    def _curves_and_effects(self) -> frozenset[str]:
+        return frozenset(p.name for p in (*self.nonlinearity_parameters, *self.covariate_parameters))
+
+    def _effects(self, effects: CovariateEffects) -> tuple[Parameter, ...]:
+        return effects.parameters(self.structure.require_linear())
+
+    def _with_effect(self, parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
+        return tuple(parameter for parameter in parameters if parameter.name not in self.without)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -163,7 +199,7 @@ class ModelSpec:
     def has_lag(self, values: np.ndarray) -> bool:
         """Return whether the speed follows the command with a lag, given the searched values."""
         linear = self.structure.linear
-        if linear is None or self.spool_dynamics:
+        if linear is None or (self.spool_dynamics and "spool_lag" not in self.without):
             return True
         _, inputs = linear.state_space(jnp.asarray(values[: len(linear.parameters)]))
         return bool(inputs[0] == 0)
@@ -179,6 +215,6 @@ class ModelSpec:
             zip((parameter.name for parameter in self.parameters), map(float, values), strict=True)
         )
         quantities = self.structure.derived(tuple(by_name.values())[: len(self.structure.parameters)])
-        if self.spool_dynamics:
+        if "hysteresis" in by_name:
             quantities["width of the hysteresis"] = (by_name["hysteresis"] * dead_zone, "{u}")
         return quantities

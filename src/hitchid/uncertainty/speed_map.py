@@ -21,6 +21,7 @@ from hitchid.model.estimates import (
     make_quantity,
 )
 from hitchid.structures import Batch, ModelSpec, PhysicalModel, Scales, opening_command, speeds_at
+from hitchid.structures.nonlinearity import OPENING
 from hitchid.uncertainty.influence import Influence
 from hitchid.uncertainty.profile import MIN_PACE, Profile
 from hitchid.uncertainty.profile import STEP as EDGE
@@ -172,7 +173,7 @@ def characteristics(
         speed_unit=f"{units['x']}/s",
         load=load_name,
         dead_zone=dead_zone,
-        opening=opening_quantity if model_spec.valve_curve else None,
+        opening=opening_quantity if OPENING in {p.name for p in model_spec.parameters} else None,
         level=level,
         delay=delay if has_lag else None,
         response_time=response_time if has_lag else None,

@@ -130,9 +130,13 @@ def structures(
 
     `choice_held_out_rmse` is on levels that neither fitted nor chose the structure; None where none were.
     """
-    figure = Figure(figsize=(COLUMN_IN, 0.8 + 0.33 * len(candidates)))
+    labels = [f"{candidate.name}{' (chosen)' if candidate.chosen else ''}" for candidate in candidates]
+    labels = [fill(printable(label), WRAP) for label in labels]
+    # In rows of two lines, the first on top.
+    heights = np.array([max(1.0, (1 + label.count("\n")) / 2) for label in labels])
+    row_positions = np.sum(heights) - np.cumsum(heights) + 0.5 * heights
+    figure = Figure(figsize=(COLUMN_IN, 0.8 + 0.33 * float(np.sum(heights))))
     axis = figure.subplots()
-    row_positions = np.arange(len(candidates))[::-1]
     rmse = [candidate.rmse for candidate in candidates]
     held_out = [candidate.held_out_rmse for candidate in candidates]
     for values, sign, colour, inside, label in (
@@ -148,9 +152,8 @@ def structures(
             markersize=4,
             label=label,
         )
-    names = [f"{candidate.name}{' (chosen)' if candidate.chosen else ''}" for candidate in candidates]
-    axis.set_yticks(row_positions, [fill(printable(name), WRAP) for name in names])
-    axis.set_ylim(-0.6, len(candidates) - 0.4)
+    axis.set_yticks(row_positions, labels)
+    axis.set_ylim(-0.1, float(np.sum(heights)) + 0.1)
     logarithmic(axis.xaxis)
     axis.set_xlabel(f"RMSE in free run / {unit}")
     legend_above(figure, axis)
@@ -158,7 +161,7 @@ def structures(
         "Free-run RMSE of each structure, on all tests and in cross-validation over levels. A larger "
         "structure is taken where it is significantly better in cross-validation, as shown or with a gain "
         "fitted to each test, which this figure does not include; in the other of the two it must not be "
-        "significantly worse."
+        "significantly worse. Then parameters go, one after the other, as long as none is missed."
     )
     if choice_held_out_rmse is not None:
         error = f"{choice_held_out_rmse:.4g} {unit}"
