@@ -218,8 +218,9 @@ class Objective(eqx.Module):
     def independent_observations(self, position: np.ndarray) -> float:
         """Return of how many independent errors the residuals at a position tell as much."""
         mask = np.asarray(self.batch.loss_mask)
-        residuals = self._compiled().residuals(position)[: len(mask)]
-        return independent_observations(np.where(mask, residuals, 0.0))
+        residuals = np.where(mask, self._compiled().residuals(position)[: len(mask)], 0.0)
+        # At its first sample nothing has moved: there stands what holds the gain of the test.
+        return independent_observations(residuals[:, 1:])
 
     def travel(self, position: np.ndarray) -> Float[np.ndarray, "t n"]:
         """Return the simulated travel at a position where samples count, without a factor on each test."""

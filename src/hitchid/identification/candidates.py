@@ -8,13 +8,11 @@ import numpy as np
 from scipy.stats import chi2
 
 from hitchid._support.checkpoints import Cube, Shapes
-from hitchid._support.metrics import MIN_IMPROVEMENT, better_on_held_out_tests, log_ratio_p_value
+from hitchid._support.metrics import ERROR_FLOOR, MIN_IMPROVEMENT, better_on_held_out_tests, log_ratio_p_value
 from hitchid._support.records import short_repr
 from hitchid.estimation import Objective, refine_subset
 from hitchid.structures import Batch, CovariateEffects, ModelSpec, Parameter, structure_named
 from hitchid.structures.nonlinearity import SPOOL_DYNAMICS, VALVE_CURVE
-
-# Nested candidates based on the second-order integrator, and the starts of their least squares.
 
 # Positions between the bounds, 0 to 1, at which an option has no effect, or as little as the bounds allow.
 NEUTRAL_POSITIONS = {
@@ -227,9 +225,8 @@ class Candidate:
         """
         free_run = self.held_out[tests], other.held_out[tests]
         per_test_gain = self.held_out_per_test_gain[tests], other.held_out_per_test_gain[tests]
-        counts = (True, int(np.count_nonzero(tests)) >= MIN_GAIN_TESTS)
-        level = WORSE_LEVEL / comparisons
-        is_told_apart = tells_apart(other, self, level)
+        counts = (bool(np.any(tests)), int(np.count_nonzero(tests)) >= MIN_GAIN_TESTS)
+        is_told_apart = tells_apart(other, self, WORSE_LEVEL / comparisons)
         for figure, beside, is_told, is_counted in zip(
             (free_run, per_test_gain), (per_test_gain, free_run), is_told_apart, counts, strict=True
         ):
@@ -242,17 +239,24 @@ class Candidate:
 
 
 def _growth(errors: np.ndarray, other_errors: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(errors**2) / np.mean(other_errors**2))) if errors.size else 1.0
+    return float(np.sqrt(np.sum(errors**2) / max(float(np.sum(other_errors**2)), ERROR_FLOOR)))
+
+
+def _fit_ratios(candidate: Candidate, other: Candidate) -> np.ndarray:
+    """Return the ratios of the errors of two fits to all tests, in both figures."""
+    errors = np.array([[each.rmse, each.rmse_per_test_gain] for each in (candidate, other)])
+    return np.divide(*np.maximum(errors, ERROR_FLOOR))
 
 
 def tells_apart(smaller: Candidate, larger: Candidate, level: float) -> np.ndarray:
     """Return in which figures all tests together prove a larger form, shape [2].
 
     N ln(J²/J₀²) > χ² of the parameters that it has more, N independent errors of the smaller form (Wilks
-    1938, Annals of Mathematical Statistics 9, 60). Few tests vary too much to show what samples prove.
+    1938, Annals of Mathematical Statistics 9, 60): exact in the figure that the fits minimise, a guide in the
+    other. Few tests vary too much to show what samples prove.
     """
     more = len(larger.spec.parameters) - len(smaller.spec.parameters)
-    ratios = np.array([smaller.rmse, smaller.rmse_per_test_gain]) / (larger.rmse, larger.rmse_per_test_gain)
+    ratios = _fit_ratios(smaller, larger)
     return (2 * smaller.observations * np.log(ratios) > chi2.ppf(1 - level, max(more, 1))) & (more > 0)
 
 
@@ -326,8 +330,7 @@ def is_missed(smaller: Candidate, larger: Sequence[Candidate], tests: np.ndarray
 
 
 def _misses(smaller: Candidate, other: Candidate, counted: np.ndarray) -> bool:
-    ratios = (smaller.rmse / other.rmse, smaller.rmse_per_test_gain / other.rmse_per_test_gain)
-    if max(ratios) <= SAME_FIT:
+    if np.all(_fit_ratios(smaller, other) <= SAME_FIT):
         return False
     if np.any(tells_apart(smaller, other, WORSE_LEVEL)):
         return True
@@ -346,7 +349,8 @@ def held_out_errors_of_choice(candidates: Sequence[Candidate]) -> np.ndarray:
 
     The error of the chosen candidate is too small, for these tests chose it. Here the choice is repeated from
     the other folds' tests, and the candidate it takes, fitted without the fold, is judged on the fold (Varma
-    & Simon 2006, BMC Bioinformatics 7, 91). Only the fits to the other folds have seen it.
+    & Simon 2006, BMC Bioinformatics 7, 91). Beside the fits to the other folds only the proof by all tests
+    and the order in which parameters were tried have seen it.
     """
     fold = candidates[0].fold
     errors = np.empty(fold.size)

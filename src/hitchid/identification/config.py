@@ -241,7 +241,7 @@ def _spec_of(value: object, direction: str) -> ModelSpec | AutoStructure:
 
 def _describe_spec(spec: ModelSpec | AutoStructure) -> dict[str, object]:
     if isinstance(spec, AutoStructure):
-        return {"automatic": True, "load": list(spec.covariate_names)}
+        return {"automatic": True, "load": list(spec.covariate_names), "repeats": spec.repeats}
     return {
         "structure": spec.structure.name,
         "dead_time": spec.dead_time,

@@ -202,7 +202,7 @@ def _uncertainty(
                 lambda: calibrate_bands(channel, phase1, batch, held_out, errors),
                 log.notices,
             )
-    log.notices.extend(band_notices(tests))
+    log.notices.extend(band_notices(tests) if bands is not None or tests < FEWEST_TESTS else ())
     stage = "information for the design of tests"
     log.tell("information", stage)
     information = attempt(stage, lambda: information_of(objective, position, influence), log.notices)

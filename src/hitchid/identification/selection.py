@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from hitchid._support import checks
 from hitchid._support.checkpoints import DISABLED, Checkpoints
 from hitchid._support.metrics import better_on_held_out_tests
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent, split_progress
@@ -57,6 +58,11 @@ class AutoStructure:
     baseline_spec: ModelSpec
     covariate_names: tuple[str, ...] = ()
     repeats: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse what is no number of repeats."""
+        if checks.integer(self.repeats, "repeats") < 0:
+            raise checks.input_error("repeats", "at least 0", self.repeats)
 
 
 def choose_spec(
@@ -117,7 +123,12 @@ def choose_spec(
         candidates += choice.candidates_of(structure, candidates[chosen])
         chosen = best_candidate(candidates)
     if chosen:
-        candidates += smaller_candidates(candidates[chosen], choice.coarse, choice.fitted)
+        candidates += smaller_candidates(
+            candidates[chosen],
+            choice.coarse,
+            choice.fitted,
+            partial(choice.report, "candidates", fraction=1.0),
+        )
         chosen = best_candidate(candidates)
     candidates[chosen] = replace(candidates[chosen], chosen=True)
     fit = choice.final_fit(candidates[chosen], candidates[0], baseline) if chosen else baseline
@@ -214,7 +225,7 @@ class _Choice:
                 objective, evaluation = self._with_smaller_dead_zone(objective, evaluation, free)
             positions = evaluation.positions
             candidates.append(evaluation.candidate(name, spec, objective, free))
-            self._report("candidates", candidates[-1], (number + 1) / len(specs))
+            self.report("candidates", candidates[-1], (number + 1) / len(specs))
         return candidates
 
     def with_covariate(self, base: Candidate, specs: Sequence[tuple[str, ModelSpec]]) -> list[Candidate]:
@@ -233,7 +244,7 @@ class _Choice:
             positions = evaluation.positions
             others = "".join(f"{known}, " for known in spec.covariate_names[:-1])
             found.append(evaluation.candidate(f"{others}{name}", spec, objective, free))
-            self._report("candidates", found[-1], 1.0)
+            self.report("candidates", found[-1], 1.0)
         return found
 
     def candidates_of(self, structure: Structure, incumbent: Candidate) -> list[Candidate]:
@@ -261,7 +272,7 @@ class _Choice:
             except FitError:
                 continue
             candidates.append(evaluation.candidate(name, spec, objective, range(len(names))))
-            self._report("external", candidates[-1], 1.0)
+            self.report("external", candidates[-1], 1.0)
         return candidates
 
     def next_structure(self, incumbent: Candidate) -> list[Candidate]:
@@ -281,7 +292,7 @@ class _Choice:
         except FitError:
             return []
         candidate = evaluation.candidate(name, spec, objective, range(len(names)))
-        self._report("candidates", candidate, 1.0)
+        self.report("candidates", candidate, 1.0)
         return [candidate]
 
     def fitted(
@@ -290,7 +301,8 @@ class _Choice:
         work = partial(fit_and_evaluate, objective, free, starts, self.folds)
         return self.checkpoints.cached(name, Evaluation, work, evaluation_shapes(objective, self.folds))
 
-    def _report(self, part: str, candidate: Candidate, fraction: float) -> None:
+    def report(self, part: str, candidate: Candidate, fraction: float) -> None:
+        """Tell that a form was tried."""
         figures = {f"RMSE on levels held out / {self.units['x']}": candidate.held_out_rmse}
         stage = f"trying the form {candidate.name}"
         self.parts[part](ProgressUpdate(stage, fraction, candidate.name, figures))

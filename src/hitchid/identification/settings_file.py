@@ -89,7 +89,7 @@ class ChannelSection(StrictSettings):
             stroke_gain_linear=self.slope,
             stroke_gain_quadratic=self.position,
             covariates=tuple(CovariateEffects(name, *effects) for name in self.covariate_names),
-            without=tuple(sorted(set(self.without))),
+            without=self.without,
         )
 
 
@@ -192,9 +192,10 @@ class IdentifyFile(StrictSettings):
             direction: getattr(self, direction) for direction in DIRECTIONS
         }
         specs = {direction: section.spec(direction) for direction, section in sections.items()}
-        for direction, spec in specs.items():
-            if isinstance(spec, AutoStructure):
-                specs[direction] = replace(spec, repeats=self.choice.repeats)
+        chosen = [direction for direction, spec in specs.items() if isinstance(spec, AutoStructure)]
+        if self.choice.repeats and not chosen:
+            raise InputError("choice, repeats: nothing is chosen, for both directions name a structure")
+        specs |= {direction: replace(specs[direction], repeats=self.choice.repeats) for direction in chosen}
         return {
             "structure": specs,
             "search": self.search.search(),

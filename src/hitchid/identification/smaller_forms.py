@@ -22,17 +22,20 @@ PLAINER = {
 FittedWithout = Callable[[str, Objective, Sequence[int], Sequence[np.ndarray]], Evaluation]
 
 
-def smaller_candidates(grown: Candidate, coarse: Batch, fitted: FittedWithout) -> list[Candidate]:
+def smaller_candidates(
+    grown: Candidate, coarse: Batch, fitted: FittedWithout, report: Callable[[Candidate], object]
+) -> list[Candidate]:
     """Return the forms that were fitted with fewer and fewer of a form's optional parameters.
 
     One parameter after the other has no effect any more, least needed first, until what is left is missed
-    beside the form that the choice had grown; see `is_missed`. All of these forms are one program, in which
-    parameters stand still.
+    beside the form that the choice had grown; see `is_missed`. Forms of one structure are one program, in
+    which parameters stand still.
 
     Args:
         grown: the form that the choice took.
         coarse: tests it was fitted to.
         fitted: fits and cross-validates the free parameters of an objective, by a name for it.
+        report: called with each form.
     """
     batch, found, current = coarse.with_dead_zone(grown.dead_zone), [], grown
 
@@ -46,6 +49,7 @@ def smaller_candidates(grown: Candidate, coarse: Batch, fitted: FittedWithout) -
         except FitError:
             return None
         found.append(replace(evaluation.candidate(name, spec, objective, free), base=current.name))
+        report(found[-1])
         return None if is_missed(found[-1], (current, grown)) else evaluation.positions
 
     while structure_name := PLAINER.get(current.spec.structure.name):
@@ -95,6 +99,8 @@ def _least_needed(
     slope, curve = (parameter.name for parameter in STROKE_GAIN_QUADRATIC)
     if curve in optional:  # a gain that only bends has no slope at the middle: an accident of the range
         optional.discard(slope)
+    if not optional:
+        return []
     free = [names.index(parameter.name) for parameter in spec.parameters]
     equations = objective.equations_by_test(positions)
     curvature = equations.curvatures.sum(axis=0)[np.ix_(free, free)]

@@ -62,8 +62,13 @@ class ModelSpec:
                 f"structure '{self.structure.name}' has no {' and no '.join(refused)}; "
                 "choose another structure"
             )
+        if isinstance(self.without, str):
+            raise InputError(f"without: expected a sequence of names, got {self.without!r}")
+        object.__setattr__(self, "without", tuple(sorted(set(self.without))))
         optional = replace(self, without=())._curves_and_effects() if self.without else frozenset()
-        for name in set(self.without) - optional:
+        for name in self.without:
+            if name in optional:
+                continue
             expected = ", ".join(sorted(optional)) or "none, for there are no curves and no covariates"
             raise InputError(f"without: there is no parameter '{name}' of an option; expected {expected}")
         by_name = {parameter.name: parameter for parameter in self.parameters}
@@ -115,6 +120,7 @@ class ModelSpec:
         scheduled = {effects: {p.name for p in self._effects(effects)} for effects in self.covariates}
         curved, played = ({p.name for p in group} for group in (VALVE_CURVE, SPOOL_DYNAMICS))
         slope, curve = (parameter.name for parameter in STROKE_GAIN_QUADRATIC)
+        own = {parameter.name for parameter in self.structure.parameters}
         smallest = replace(
             self,
             dead_time=DEAD_TIME.name in kept,
@@ -127,10 +133,10 @@ class ModelSpec:
                 for effects, effect_names in scheduled.items()
                 if effect_names & kept
             ),
-            bounds={name: limits for name, limits in self.bounds.items() if name in kept},
+            bounds={name: limits for name, limits in self.bounds.items() if name in kept | own},
             without=(),
         )
-        return replace(smallest, without=tuple(sorted(smallest._curves_and_effects() - kept)))
+        return replace(smallest, without=tuple(smallest._curves_and_effects() - kept))
 
     @property
     def covariate_names(self) -> tuple[str, ...]:
