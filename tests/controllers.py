@@ -1,5 +1,7 @@
 """Hand-made controllers of hand-made hitches."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,7 +19,18 @@ PRESSURE = {"pressure": 125.0}
 
 def made_up_model(*, shape: bool):
     """Return a hitch of which the speed lags, with a dead time of a fraction of a sample."""
-    return handmade.hitch("integrator-first-order", dead_time_s=DEAD_TIME_S, shape=shape)
+    model = handmade.hitch("integrator-first-order", dead_time_s=DEAD_TIME_S, shape=shape)
+    if not shape:
+        return model
+    # As fast just above its opening as a hitch of the same gain without curves.
+    channels = {
+        direction: replace(
+            channel,
+            benchmark=channel.benchmark.with_gain(float(channel.benchmark.nonlinearity.largest_share)),
+        )
+        for direction, channel in model.channels.items()
+    }
+    return replace(model, channels=channels)
 
 
 def _gains(*values: float) -> Gains:

@@ -243,7 +243,7 @@ def test_a_wide_table_is_scrolled_by_the_keyboard(opened):
     table.focus()
     for _ in range(3):
         page.keyboard.press("ArrowRight")
-    page.wait_for_function("document.activeElement.scrollLeft > 0", timeout=3000)
+    page.wait_for_function("() => document.activeElement.scrollLeft > 0", timeout=3000)
 
 
 def test_a_report_is_printed_on_white_without_a_cut_table(browser, address):

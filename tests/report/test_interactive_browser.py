@@ -42,7 +42,8 @@ def opened(browser, address):
         page.on("pageerror", lambda error: messages.append(str(error)))
         page.on("request", lambda request: requests.append(request.url))
         page.goto(address)
-        page.wait_for_function("document.querySelector('#readout tr') !== null")
+        # A function: the page forbids that text is evaluated, which is done where it does not hold at once.
+        page.wait_for_function("() => document.querySelector('#readout tr') !== null")
         return page
 
     yield open_page
