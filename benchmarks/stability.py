@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 import hitchid
+from hitchid.identification.repeated_choice import form_name
 from hitchid.logs.record import DISPLACEMENT
 
 from .free_run import SETS
@@ -35,26 +36,25 @@ def results(campaign: hitchid.Campaign) -> tuple[hitchid.Hitch, dict[str, Repeat
     """Identify and validate; return the model, and direction to result."""
     identification = hitchid.identify(campaign, **PHYSICS)
     channels = hitchid.validate(identification.model, campaign).metrics["channels"]
-    found = {}
+    repeats = {}
     for direction, trace in identification.channels.items():
-        spec = trace.phase1.fit.objective.spec
-        form = f"{spec.structure.name}: {', '.join(parameter.name for parameter in spec.parameters)}"
+        form = form_name(trace.phase1.fit.objective.spec)
         fits = [test["free_run"]["r2"] for test in channels[direction]["per_test"].values()]
-        found[direction] = Repeat(form, channels[direction]["benchmark"]["free_run"]["rmse"], min(fits))
-    return identification.model, found
+        repeats[direction] = Repeat(form, channels[direction]["benchmark"]["free_run"]["rmse"], min(fits))
+    return identification.model, repeats
 
 
 def perturbed(campaign: hitchid.Campaign, model: hitchid.Hitch, repeats: int) -> Iterator[hitchid.Campaign]:
     """Yield the campaign without one test of each direction, each time another, and with more noise."""
     noise = min(float(channel.load_filter.noise) for channel in model.channels.values())
     held_out = {record.name for direction in campaign.directions for record in campaign.held_out(direction)}
-    known = {
+    identification_names = {
         direction: [record.name for record in campaign.of_kind(direction) if record.name not in held_out]
         for direction in campaign.directions
     }
     for number in range(repeats):
         rng = np.random.default_rng(number)
-        left_out = {names[number % len(names)] for names in known.values() if len(names) > 1}
+        left_out = {names[number % len(names)] for names in identification_names.values() if len(names) > 1}
         records = []
         for record in campaign.records:
             samples = record.displacement + noise * rng.standard_normal(len(record))

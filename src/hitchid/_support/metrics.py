@@ -141,7 +141,7 @@ def better_on_held_out_tests(errors: np.ndarray, other_errors: np.ndarray, compa
 
 
 def independent_observations(errors: np.ndarray) -> float:
-    """Return of how many independent errors as many correlated ones tell as much, n/τ of all tests.
+    """Return the number of independent errors that weigh as much as the correlated ones of all tests, n/τ.
 
     τ = 1 + 2 Σ ρ(k), ρ(k) the autocorrelation of the errors of all tests together, without their mean taken
     off: what a test has of its own is one error, not as many as samples. The sum ends before the first pair

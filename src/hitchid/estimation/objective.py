@@ -216,7 +216,7 @@ class Objective(eqx.Module):
         return residuals[loss_mask], np.repeat(np.arange(len(loss_mask)), loss_mask.sum(axis=1))
 
     def independent_observations(self, position: np.ndarray) -> float:
-        """Return of how many independent errors the residuals at a position tell as much."""
+        """Return the number of independent errors among the residuals at a position."""
         mask = np.asarray(self.batch.loss_mask)
         residuals = np.where(mask, self._compiled().residuals(position)[: len(mask)], 0.0)
         # At its first sample nothing has moved: there stands what holds the gain of the test.

@@ -176,7 +176,7 @@ class Candidate:
         values: its parameters at the optimum, shape [D].
         rmse: free-run RMSE over all identification tests with equal weights.
         rmse_per_test_gain: the same with a gain fitted to each test.
-        observations: how many independent errors either tells as much as, shape [2].
+        observations: number of independent errors of either, shape [2]; see `independent_observations`.
         dead_zone: dead zone at which it was fitted, in the command's unit.
         held_out: free-run RMSE of each test whose operating point was held out in turn, shape [H].
         held_out_per_test_gain: the same with a gain fitted to each test, shape [H].
@@ -219,19 +219,18 @@ class Candidate:
 
         In free run as it is, or, over six tests or more, with a gain fitted to each test: the unmeasured load
         of a test changes its speed from the first sample to the last and may hide what a form adds. By 2 %
-        where that holds from test to test, see `better_on_held_out_tests`, or by 10 % where the fits to all
-        tests tell the forms apart, see `tells_apart`. In the figure that does not decide it must not be
-        significantly worse (5 %).
+        where that holds from test to test, see `better_on_held_out_tests`, or by 10 % where the fits prove
+        it, see `proved_by_all_tests`. In the other figure it must not be significantly worse (5 %).
         """
         free_run = self.held_out[tests], other.held_out[tests]
         per_test_gain = self.held_out_per_test_gain[tests], other.held_out_per_test_gain[tests]
         counts = (bool(np.any(tests)), int(np.count_nonzero(tests)) >= MIN_GAIN_TESTS)
-        is_told_apart = tells_apart(other, self, WORSE_LEVEL / comparisons)
-        for figure, beside, is_told, is_counted in zip(
-            (free_run, per_test_gain), (per_test_gain, free_run), is_told_apart, counts, strict=True
+        is_proved_in = proved_by_all_tests(other, self, WORSE_LEVEL / comparisons)
+        for figure, beside, is_proved, is_counted in zip(
+            (free_run, per_test_gain), (per_test_gain, free_run), is_proved_in, counts, strict=True
         ):
             is_better = better_on_held_out_tests(*figure, comparisons=comparisons) or (
-                is_told and _growth(*figure) * CLEAR_RATIO < 1
+                is_proved and _growth(*figure) * CLEAR_RATIO < 1
             )
             if is_counted and is_better and not _significantly_worse(*beside):
                 return True
@@ -248,7 +247,7 @@ def _fit_ratios(candidate: Candidate, other: Candidate) -> np.ndarray:
     return np.divide(*np.maximum(errors, ERROR_FLOOR))
 
 
-def tells_apart(smaller: Candidate, larger: Candidate, level: float) -> np.ndarray:
+def proved_by_all_tests(smaller: Candidate, larger: Candidate, level: float) -> np.ndarray:
     """Return in which figures all tests together prove a larger form, shape [2].
 
     N ln(J²/J₀²) > χ² of the parameters that it has more, N independent errors of the smaller form (Wilks
@@ -316,7 +315,7 @@ def best_candidate(candidates: Sequence[Candidate], tests: np.ndarray | None = N
 def is_missed(smaller: Candidate, larger: Sequence[Candidate], tests: np.ndarray | None = None) -> bool:
     """Return whether what forms have more than a smaller one is missed, in free run or with a gain per test.
 
-    It is where all tests together tell the forms apart (5 %), see `tells_apart`, or where the smaller one is
+    It is where the fits prove the larger form (5 %), see `proved_by_all_tests`, or where the smaller one is
     worse on held-out tests, by 10 % or significantly (5 %) by 2 %. A form that fits as well to a thousandth
     is the same: its parameters had no effect, and moved held-out tests by chance.
 
@@ -332,7 +331,7 @@ def is_missed(smaller: Candidate, larger: Sequence[Candidate], tests: np.ndarray
 def _misses(smaller: Candidate, other: Candidate, counted: np.ndarray) -> bool:
     if np.all(_fit_ratios(smaller, other) <= SAME_FIT):
         return False
-    if np.any(tells_apart(smaller, other, WORSE_LEVEL)):
+    if np.any(proved_by_all_tests(smaller, other, WORSE_LEVEL)):
         return True
     figures = [(smaller.held_out[counted], other.held_out[counted])]
     if np.count_nonzero(counted) >= MIN_GAIN_TESTS:

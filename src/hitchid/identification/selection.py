@@ -302,7 +302,7 @@ class _Choice:
         return self.checkpoints.cached(name, Evaluation, work, evaluation_shapes(objective, self.folds))
 
     def report(self, part: str, candidate: Candidate, fraction: float) -> None:
-        """Tell that a form was tried."""
+        """Report a form that was tried."""
         figures = {f"RMSE on levels held out / {self.units['x']}": candidate.held_out_rmse}
         stage = f"trying the form {candidate.name}"
         self.parts[part](ProgressUpdate(stage, fraction, candidate.name, figures))

@@ -37,7 +37,8 @@ def smaller_candidates(
         fitted: fits and cross-validates the free parameters of an objective, by a name for it.
         report: called with each form.
     """
-    batch, found, current = coarse.with_dead_zone(grown.dead_zone), [], grown
+    batch, current = coarse.with_dead_zone(grown.dead_zone), grown
+    candidates: list[Candidate] = []
 
     def tried(name: str, objective: Objective, spec: ModelSpec, start: np.ndarray) -> np.ndarray | None:
         """Add a form that is part of the current one; return its positions, None if anything is missed."""
@@ -48,9 +49,9 @@ def smaller_candidates(
             evaluation = fitted(name, objective, free, [start])
         except FitError:
             return None
-        found.append(replace(evaluation.candidate(name, spec, objective, free), base=current.name))
-        report(found[-1])
-        return None if is_missed(found[-1], (current, grown)) else evaluation.positions
+        candidates.append(replace(evaluation.candidate(name, spec, objective, free), base=current.name))
+        report(candidates[-1])
+        return None if is_missed(candidates[-1], (current, grown)) else evaluation.positions
 
     while structure_name := PLAINER.get(current.spec.structure.name):
         spec = current.spec.with_structure(structure_named(structure_name))
@@ -58,22 +59,22 @@ def smaller_candidates(
         start = objective.position(_start_of(spec, current.named_values))
         if tried(f"the same with {structure_name}", objective, spec, start) is None:
             break
-        current = found[-1]
+        current = candidates[-1]
     objective = Objective.of(batch, current.spec)
     names = [parameter.name for parameter in current.spec.parameters]
-    positions, gone = objective.position(current.values), []
+    positions, removed = objective.position(current.values), list[str]()
     while True:
         for name in _least_needed(objective, names, positions, current.spec)[:TRIED]:
             spec = current.spec.limited_to({p.name for p in current.spec.parameters} - {name})
             start = positions.copy()
             start[names.index(name)] = _neutral_position(objective, names.index(name))
-            label = f"the same without {', '.join([*gone, name])}".replace("_", " ")
+            label = f"the same without {', '.join([*removed, name])}".replace("_", " ")
             reached = tried(label, objective, spec, start)
             if reached is not None:
-                current, positions, gone = found[-1], reached, [*gone, name]
+                current, positions, removed = candidates[-1], reached, [*removed, name]
                 break
         else:
-            return found
+            return candidates
 
 
 def _start_of(spec: ModelSpec, values: Mapping[str, float]) -> np.ndarray:
