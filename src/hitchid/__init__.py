@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from hitchid.errors import HitchError as HitchError
 
 if TYPE_CHECKING:
+    from hitchid.hmi.headless import campaign as campaign
     from hitchid.identification import identify as identify
     from hitchid.identification import identify_many as identify_many
     from hitchid.identification import train_rivals as train_rivals
@@ -31,6 +32,7 @@ _HOME = {
     "Campaign": "hitchid.logs.campaign",
     "Hitch": "hitchid.model",
     "Record": "hitchid.logs.record",
+    "campaign": "hitchid.hmi.headless",
     "compare": "hitchid.validation",
     "cross_validate": "hitchid.identification.cross_validation",
     "identify": "hitchid.identification",
@@ -67,6 +69,7 @@ __all__ = [
     "HitchError",
     "Record",
     "__version__",
+    "campaign",
     "compare",
     "cross_validate",
     "identify",

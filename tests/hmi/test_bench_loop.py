@@ -19,8 +19,8 @@ from fake_bench import STEP_S, Machine, Plant
 from hitchid.errors import InputError
 from hitchid.hmi import bench_loop, connected_source, disk, recorder
 from hitchid.hmi.bench_loop import LATEST_S, BenchLoop
+from hitchid.hmi.programs import Step
 from hitchid.hmi.recorder import Recorder
-from hitchid.hmi.run import Step
 from hitchid.hmi.safety import State
 
 CLOSED = (0.0, 0.0)

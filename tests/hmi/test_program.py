@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from fake_bench import DEAD_ZONES, GAINS, LIMITS, STEP_S, STROKE, Plant
 from hitchid.errors import InputError
-from hitchid.hmi import run as campaigns
+from hitchid.hmi import programs as campaigns
 from hitchid.hmi.plans import MARGIN, CampaignPlan
-from hitchid.hmi.run import (
+from hitchid.hmi.programs import (
     COAST_S,
     MOVE_STROKES_PER_S,
     RISE_S,

@@ -33,13 +33,15 @@ class StaticResult:
     speed_per_command: float
 
 
-def evaluate_ramps(ramps: Sequence[Record], direction: str) -> StaticResult:
+def evaluate_ramps(ramps: Sequence[Record], direction: str, sign: int | None = None) -> StaticResult:
     """Return the result of one or more ramps of one direction, in mm and A (Sun et al. 2025, sec. 2.3.1).
+
+    The sign is +1 where the displacement grows with the command; by default that of the direction.
 
     Raises:
         LogError: a ramp ends before the piston moves.
     """
-    sign = 1 if direction == LIFTING else -1
+    sign = sign or (1 if direction == LIFTING else -1)
     # The same estimate as in an identification: levels are then effective for the model, too.
     zone = from_ramps(ramps, direction, sign).value
     tail = slice(-round(RAMP_TAIL_S / ramps[0].step_s), None)

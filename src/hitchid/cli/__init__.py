@@ -2,6 +2,7 @@
 
 from hitchid.cli import (
     bench,
+    campaign,
     compare,
     design,
     drive,
@@ -32,6 +33,7 @@ for _command, _example in (
     (drive.drive, "hitchid drive controller.toml --rig nominal --out drive"),
     (export.export, "hitchid export model --to c --out code"),
     (run.run, "recorder | hitchid run model | controller"),
+    (campaign.campaign, "hitchid campaign project --source udp:5005 --limits limits.toml"),
     (hmi.hmi, "hitchid hmi project"),
     (bench.bench, "hitchid bench logs --protocol prbs --tests 20"),
     (reproduce.reproduce, "hitchid reproduce --out study --quick"),

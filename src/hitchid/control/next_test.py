@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import floor
 from pathlib import Path
+from types import MappingProxyType
 
 import equinox as eqx
 import jax
@@ -18,7 +19,7 @@ from hitchid._support.precision import double_precision
 from hitchid._support.records import short_repr
 from hitchid.bench.excitation import prbs, precompensated
 from hitchid.errors import InputError
-from hitchid.logs import COMMAND, command_columns, write_table
+from hitchid.logs import COMMAND, command_columns, effective_command, write_table
 from hitchid.model import Channel, Hitch, Information
 from hitchid.structures import Batch, PhysicalModel, padded_length
 from hitchid.uncertainty import (
@@ -37,6 +38,7 @@ TRAVEL_MARGIN = 1.02  # travel over that of the identification tests: 2 % for th
 MAX_PROPOSALS = 5  # largest number returned
 DEAD_ZONE_SHARE = 0.5  # of a parameter's variance, above which the dead zone dominates its error; chosen
 ROUNDING = 1e-9  # in samples, so that a whole number is not rounded down
+NO_COVARIATES: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -269,26 +271,45 @@ def _signal(proposal: Proposal, step_s: float) -> np.ndarray:
     )
 
 
-def _batch(channel: Channel, commands: Float[np.ndarray, "t n"], step_s: float) -> Batch:
-    """Return candidate tests as a batch that starts at the end of the stroke opposite to the motion."""
-    ends, load = channel.operating_range.displacement, channel.operating_range.load
-    covariates = channel.benchmark.covariates
-    # The whole stroke is ahead of it, as it was in the tests.
-    start = ends.lowest if channel.sign > 0 else ends.highest
+def free_run_batch(
+    commands: Float[np.ndarray, "t n"],
+    *,
+    dead_zone: float,
+    start: float,
+    sign: int,
+    step_s: float,
+    covariates: Mapping[str, float] = NO_COVARIATES,
+) -> Batch:
+    """Return commands as logged as tests that begin at one displacement, padded as `Batch.of` pads them."""
     tests, samples = commands.shape
     padded = np.pad(commands, ((0, 0), (0, padded_length(samples) - samples)))
     return Batch(
-        command=jnp.asarray(padded),
-        raw_command=jnp.asarray(precompensated(padded, channel.dead_zone)),
-        dead_zone=jnp.full(tests, channel.dead_zone),
+        command=jnp.asarray(effective_command(padded, dead_zone)),
+        raw_command=jnp.asarray(padded),
+        dead_zone=jnp.full(tests, dead_zone),
         displacement=jnp.full(padded.shape, start),
         valid=jnp.ones(padded.shape, dtype=bool),
         loss_mask=jnp.ones(padded.shape, dtype=bool),
         initial=jnp.full(tests, start),
-        covariates=jnp.tile(0.5 * (load.lowest + load.highest), (tests, 1))[:, : len(covariates)],
+        covariates=jnp.tile(jnp.array(list(covariates.values()), dtype=float), (tests, 1)),
         step_s=step_s,
+        sign=sign,
+        covariate_names=tuple(covariates),
+    )
+
+
+def _batch(channel: Channel, commands: Float[np.ndarray, "t n"], step_s: float) -> Batch:
+    """Return candidate tests as a batch that starts at the end of the stroke opposite to the motion."""
+    ends, load = channel.operating_range.displacement, channel.operating_range.load
+    means = map(float, 0.5 * (np.asarray(load.lowest) + np.asarray(load.highest)))
+    return free_run_batch(
+        precompensated(commands, channel.dead_zone),
+        dead_zone=channel.dead_zone,
+        # The whole stroke is ahead of it, as it was in the tests.
+        start=float(ends.lowest if channel.sign > 0 else ends.highest),
         sign=channel.sign,
-        covariate_names=covariates,
+        step_s=step_s,
+        covariates=dict(zip(channel.benchmark.covariates, means, strict=False)),
     )
 
 
@@ -309,6 +330,7 @@ def _derivatives(
 def _travel_derivatives(
     physical_model: PhysicalModel, batch: Batch, tangents: Float[Array, "d r"]
 ) -> tuple[Float[Array, "t n"], Float[Array, "d t n"]]:
+
     def travel(row: Array) -> Array:
         return physical_model.with_parameter_vector(row).travel(batch)
 

@@ -1,5 +1,6 @@
 """The bench loop: owns source, recorder and safety; one `tick` for each sampling time."""
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
@@ -16,9 +17,10 @@ from hitchid.hmi.connected_source import ConnectedSource, connect
 from hitchid.hmi.disk import Disk
 from hitchid.hmi.plans import MARGIN, Limits
 from hitchid.hmi.recorder import Recorder
-from hitchid.hmi.run import Run
+from hitchid.hmi.run import Machine, Run
 from hitchid.hmi.safety import Safety, State
-from hitchid.hmi.source import CLOSED, DISPLACEMENT, REQUIRED, Reading, describe
+from hitchid.hmi.source import CLOSED, DISPLACEMENT, REQUIRED, Reading, Source, describe
+from hitchid.hmi.sources import make_source
 from hitchid.hmi.watchdog import Watchdog
 
 LONGEST_SILENCE_S = 0.5  # s without a sign of life of server or page, after which the loop stops
@@ -26,6 +28,9 @@ LONGEST_SILENCE_S = 0.5  # s without a sign of life of server or page, after whi
 # have held an old command. Chosen: zero is sent within 0.2 s, also to the slowest source that may be moved.
 LATEST_S = 0.1
 TICK_S = 0.01  # s between ticks without a source
+# Samples whose intervals are kept; the clock of the source counts unless they are longer by half; chosen.
+INTERVALS, LIKE_STEP = 50, 1.5
+SENSOR_SILENCE_S, SILENT_SAMPLES = 0.05, 3  # s, and in samples: longest silence of a sensor; chosen
 
 Request = Mapping[str, Any]
 
@@ -43,6 +48,7 @@ class BenchLoop:
         disk: that takes what is written.
         watch: makes the watchdog of a source that is armed, from what sends zero and the longest silence, s;
             none without it.
+        make: returns the source of a name.
     """
 
     def __init__(
@@ -50,10 +56,11 @@ class BenchLoop:
         root: Path,
         *,
         allow_output: bool = False,
-        limits_file: Path | None = None,
+        limits_file: Path | Limits | None = None,
         longest_silence_s: float = LONGEST_SILENCE_S,
         disk: Disk | None = None,
         watch: Callable[[Callable[[], None], float], Watchdog] | None = None,
+        make: Callable[[str], Source] = make_source,
     ) -> None:
         self._root, self._allow_output, self._limits_file = root, allow_output, limits_file
         self._longest_silence_s = longest_silence_s
@@ -61,7 +68,8 @@ class BenchLoop:
         self._connected: ConnectedSource | None = None
         self._run: Run | None = None
         self._ended_runs: list[Run] = []
-        self._ticked_s, self._watch = -np.inf, watch
+        self._ticked_s, self._watch, self._make = -np.inf, watch, make
+        self._intervals: deque[float] = deque(maxlen=INTERVALS)
         self._watchdog: Watchdog | None = None
         self._recorder: Recorder | None = None
         self._displacement, self._time_s, self._silent_s, self._measured_s = np.nan, 0.0, 0.0, 0.0
@@ -96,6 +104,16 @@ class BenchLoop:
     def is_virtual(self) -> bool:
         """Whether there is a source that is no real machine."""
         return self._connected is not None and self._connected.source.virtual
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether there has been a displacement."""
+        return bool(np.isfinite(self._displacement))
+
+    @property
+    def run(self) -> Run | None:
+        """The plan that is armed or carried out."""
+        return self._run
 
     def server_alive(self, now_s: float) -> None:
         """Take a sign of life of the server."""
@@ -224,6 +242,9 @@ class BenchLoop:
         # A virtual source may run faster than time: what it lacks is counted on its own clock.
         measured = [reading.values[REQUIRED.index(DISPLACEMENT)] for reading in readings]
         valid = [value for value in measured if np.isfinite(value)]
+        if self.state is not State.RUNNING:  # a sensor that fails must not be taken for a slow one
+            times = [self._time_s, *(reading.time_s for reading in readings)][0 if self._time_s else 1 :]
+            self._intervals.extend(np.diff(times))
         self._time_s = readings[-1].time_s if readings else self._time_s
         clock_s = self._time_s if connected.source.virtual else now_s
         self._measured_s = clock_s if valid else self._measured_s
@@ -232,7 +253,7 @@ class BenchLoop:
         limits = connected.limits
         if limits is None or self.state is not State.RUNNING:
             return
-        if self._silent_s > limits.sensor_silence_s:
+        if self._silent_s > self._longest_sensor_silence_s(limits):
             self.stop(f"no displacement for {self._silent_s:.2g} s")
         elif limits.is_beyond(self._displacement):
             low, high = limits.displacement
@@ -268,8 +289,9 @@ class BenchLoop:
     def _connect(self, request: Request, now_s: float) -> None:
         connected = self._safety.connect()
         self._connected = connect(
-            request, self._root, limits_file=self._limits_file, allow_output=self._allow_output
+            request, self._root, limits=self._limits_file, allow_output=self._allow_output, make=self._make
         )
+        self._intervals.clear()
         # Silence of a sensor is counted on the clock of a virtual source, which may run faster than time.
         self._measured_s = 0.0 if self._connected.source.virtual else now_s
         self._displacement, self._silent_s, self._time_s = np.nan, 0.0, 0.0
@@ -293,14 +315,28 @@ class BenchLoop:
             raise InputError("unattended: expected false; only the virtual bench runs without its operator")
         self._check_sensor(connected.limits)
         # The state changes last: whatever a plan's files raise leaves the bench idle.
-        self._run = Run(self._root, plan, source, connected.limits, self._displacement, self._disk)
+        machine = Machine(source.signals, source.step_s, self.interval_s, connected.limits, source.virtual)
+        self._run = Run(self._root, plan, machine, self._displacement, self._disk)
         self._end_watchdog()  # of a plan that was armed, stopped and reset before the next tick
         if connected.is_watched and self._watch is not None:
             self._watchdog = self._watch(partial(connected.write, CLOSED), source.step_s + self._latest_s)
         self._safety = armed
 
+    @property
+    def interval_s(self) -> float:
+        """Time between samples as measured while nothing ran, s; that of the source before any came."""
+        assert self._connected is not None  # noqa: S101 - asked for with a source
+        step_s = self._connected.source.step_s
+        measured = float(np.median(self._intervals)) if self._intervals else step_s
+        return step_s if measured < LIKE_STEP * step_s else measured
+
+    def _longest_sensor_silence_s(self, limits: Limits) -> float:
+        if limits.sensor_silence_s is not None:
+            return limits.sensor_silence_s
+        return min(max(SENSOR_SILENCE_S, SILENT_SAMPLES * self.interval_s), 1.0)
+
     def _check_sensor(self, limits: Limits) -> None:
-        if not np.isfinite(self._displacement) or self._silent_s > limits.sensor_silence_s:
+        if not np.isfinite(self._displacement) or self._silent_s > self._longest_sensor_silence_s(limits):
             raise InputError("no displacement is measured now; check the sensor")
 
     def _start(self, _: Request, now_s: float) -> None:

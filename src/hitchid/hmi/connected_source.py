@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from hitchid.hmi import project
 from hitchid.hmi.plans import Limits, limits_of_rig, read_limits
 from hitchid.hmi.source import CLOSED, REQUIRED, Reading, Source
 from hitchid.hmi.sources import make_source
+from hitchid.hmi.sources.json_lines import JsonLines
 
 FASTEST = 20  # samples of a virtual source in a tick at most; chosen: more than two cores reach
 # s, sampling times: the largest of a source that is moved bounds the delay of a stop; chosen.
@@ -80,9 +81,16 @@ class ConnectedSource:
 
 
 def connect(
-    request: Mapping[str, Any], root: Path, *, limits_file: Path | None, allow_output: bool
+    request: Mapping[str, Any],
+    root: Path,
+    *,
+    limits: Path | Limits | None,
+    allow_output: bool,
+    make: Callable[[str], Source] = make_source,
 ) -> ConnectedSource:
     """Return the source of a request, open; a virtual bench has its own limits, not those of the file.
+
+    JSON lines carry no units: theirs are those of the limits.
 
     Raises:
         InputError: there is no such source, or it, its options or its limits cannot be used.
@@ -94,7 +102,7 @@ def connect(
         text = f"rig:{checks.one_of(options.get('rig', 'nominal'), parameter_sets(), 'rig')}"
     elif name == "replay":
         text = f"replay:{project.file_inside(root, options.get('log'))}"
-    source = make_source(text)
+    source = make(text)
     # Checked before it is opened: a source that cannot be used should not be touched.
     names = tuple(signal.name for signal in source.signals)
     if names[: len(REQUIRED)] != REQUIRED:
@@ -113,9 +121,11 @@ def connect(
     if text.startswith("rig:"):
         limits = limits_of_rig(load_rig(text.removeprefix("rig:")))
     else:
-        limits = None if limits_file is None else read_limits(limits_file)
+        limits = read_limits(limits) if isinstance(limits, Path) else limits
     # Numbers without a conversion between: 0.9 in mA would be another limit than 0.9 in A.
     units = () if limits is None else (limits.command_unit, limits.command_unit, limits.displacement_unit)
+    if isinstance(source, JsonLines):
+        source.use_units(units)
     for signal, unit in zip(source.signals, units, strict=False):
         if signal.unit != unit:
             raise InputError(f"limits: {signal.name} is in {unit}, in {source.label} in {signal.unit}")

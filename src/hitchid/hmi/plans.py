@@ -1,7 +1,8 @@
 """Plans of the operator: a campaign, a file of commands, a closed loop."""
 
+import re
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError, field_validator, model_validator
@@ -30,7 +31,8 @@ class Limits(StrictSettings):
         lifting_command, lowering_command: largest of each.
         lowest_displacement, highest_displacement: ends of the travel.
         command_unit, displacement_unit: of both.
-        sensor_silence_s: longest time without a displacement while something moves, s.
+        sensor_silence_s: longest time without a displacement while something moves, s; None for three
+            sampling times as measured before, 0.05 s at least.
     """
 
     lifting_command: float = Field(gt=0, allow_inf_nan=False)
@@ -40,7 +42,7 @@ class Limits(StrictSettings):
     command_unit: str = "A"
     displacement_unit: str = "mm"
     # At most a second: a machine that is driven without a measured displacement may run into its stops.
-    sensor_silence_s: float = Field(default=0.05, gt=0, le=1)
+    sensor_silence_s: float | None = Field(default=None, gt=0, le=1)
 
     @model_validator(mode="after")
     def _ordered(self) -> "Limits":
@@ -102,6 +104,7 @@ def read_limits(path: Path) -> Limits:
 POSITIONING_S = 12.0  # s, of a move between two tests, for the estimate of the time left; chosen
 MOST_SAMPLES = 1_000_000  # of a file of commands, to bound its memory; chosen
 MOST_BYTES = 50_000_000  # of a file of commands: a million lines of 50 characters
+GOAL = re.compile(r"(?:free run )?([0-9]*\.?[0-9]+) ?([^\s0-9]{1,10}) in ([0-9]*\.?[0-9]+) ?s")
 Name = Annotated[str, Field(pattern=f"^{NAME_PATTERN}$")]
 
 
@@ -157,6 +160,55 @@ class CampaignPlan(StrictSettings):
         return ramps + tests + self.cycles * self.cycle_s + self.total * POSITIONING_S
 
 
+class AdaptivePlan(StrictSettings):
+    """A campaign that chooses its own tests; see `hitchid.hmi.adaptive`.
+
+    Attributes:
+        name: of the folder in `campaigns`.
+        minutes: of bench time at most.
+        goal: such as `free run 0.2 mm in 10 s`; None to go on until nothing is gained or time is over.
+        resume: whether it goes on with a campaign of this name that was stopped.
+        seed: of all random draws.
+        unattended: go on without the operator's page; of a virtual bench only.
+    """
+
+    kind: Literal["adaptive"] = "adaptive"
+    name: Name
+    minutes: float = Field(default=15.0, gt=0, le=600)
+    goal: str | None = None
+    resume: bool = False
+    seed: int = Field(default=0, ge=0, le=2**31 - 1)
+    unattended: bool = False
+    total: Literal[1] = 1
+
+    @field_validator("goal")
+    @classmethod
+    def _readable(cls, text: str | None) -> str | None:
+        if text is not None:
+            read_goal(text)
+        return text
+
+
+class Goal(NamedTuple):
+    """The largest root mean square error of free runs, in the displacement's unit, and their length, s."""
+
+    error: float
+    unit: str
+    duration_s: float
+
+
+def read_goal(text: str) -> Goal:
+    """Return the goal of a campaign.
+
+    Raises:
+        ValueError: the text is not like `free run 0.2 mm in 10 s`.
+    """
+    match = GOAL.fullmatch(text.strip())
+    if match is None or not (float(match[1]) > 0 and 2 <= float(match[3]) <= 600):
+        raise ValueError(f"expected a goal like 'free run 0.2 mm in 10 s', of 2 to 600 s, got {text!r:.60}")
+    return Goal(float(match[1]), match[2], float(match[3]))
+
+
 class FilePlan(StrictSettings):
     """Commands from a file, from the present displacement: `time_s, lifting_command, lowering_command`.
 
@@ -189,7 +241,7 @@ class DrivePlan(StrictSettings):
     total: Literal[1] = 1
 
 
-Plan = CampaignPlan | FilePlan | DrivePlan
+Plan = CampaignPlan | AdaptivePlan | FilePlan | DrivePlan
 # By `kind`: an error then names the key of the plan that was meant, not those of all three.
 _PLAN: TypeAdapter[Plan] = TypeAdapter(Annotated[Plan, Field(discriminator="kind")])
 

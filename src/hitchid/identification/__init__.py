@@ -15,6 +15,7 @@ from hitchid.identification.identify import identify as identify
 from hitchid.identification.identify import identify_many as identify_many
 from hitchid.identification.identify import train_rivals as train_rivals
 from hitchid.identification.phase2 import CompensatorConfig as CompensatorConfig
+from hitchid.identification.preparation import prepare as prepare
 from hitchid.identification.result import ChannelTrace as ChannelTrace
 from hitchid.identification.result import Identification as Identification
 from hitchid.identification.selection import AutoStructure as AutoStructure

@@ -60,8 +60,13 @@ function makeFields() {
 function plan() {
   const name = byId("plan-name").value.trim();
   if (byId("plan-kind").value === "file") return { kind: "file", name, file: byId("plan-file").value };
+  const unattended = byId("plan-unattended").checked;
+  if (byId("plan-kind").value === "adaptive") {
+    const goal = byId("plan-goal").value.trim() || null;
+    return { kind: "adaptive", name, minutes: Number(byId("plan-minutes").value), goal, resume: byId("plan-resume").checked, unattended };
+  }
   const numbers = Object.fromEntries(FIELDS.map((field) => [field.name, Number(byId(`plan-${field.name}`).value)]));
-  return { kind: "campaign", name, ...numbers, directions: byId("plan-directions").value.split(" "), unattended: byId("plan-unattended").checked };
+  return { kind: "campaign", name, ...numbers, directions: byId("plan-directions").value.split(" "), unattended };
 }
 
 /** Number of tests and their length. @param {any} asked @param {number} speed times real time */
@@ -76,6 +81,7 @@ export function extent(asked, speed) {
 function announcement(asked, status) {
   const what = whatMoves(status);
   if (asked.kind === "file") return `Arm: ${what} will move as ${asked.file.split("/").pop() || "the file"} says`;
+  if (asked.kind === "adaptive") return `Arm: ${what} will move up and down, carefully first, then test after test, ${asked.minutes} min at most`;
   const { tests, seconds } = extent(asked, status?.source?.speed ?? 1);
   return `Arm: ${what} will move up and down, ${tests} ${tests === 1 ? "test" : "tests"}, about ${duration(seconds)}`;
 }
@@ -85,13 +91,17 @@ function showPlan(connection) {
   const { status } = connection;
   const asked = plan();
   const isFile = asked.kind === "file";
+  const isAdaptive = asked.kind === "adaptive";
   byId("plan-campaign").hidden = isFile || status?.state === "running"; // room for the progress
+  byId("plan-adaptive").hidden = !isAdaptive || status?.state === "running";
   byId("plan-own").hidden = !isFile;
-  for (const field of byId("plan-campaign").querySelectorAll("input, select")) field.disabled = isFile;
+  for (const label of byId("plan-campaign").children) label.hidden = isAdaptive && label.id !== "plan-unattended-label";
+  for (const field of byId("plan-campaign").querySelectorAll("input, select")) field.disabled = isFile || isAdaptive;
+  for (const field of byId("plan-adaptive").querySelectorAll("input")) field.disabled = !isAdaptive;
   byId("plan-unattended").disabled = isFile || !status?.source?.virtual;
   const reason = whyNot(connection);
   const armedHere = status?.state === "armed" && status.run?.kind !== "drive";
-  const nothing = isFile ? !asked.file : extent(asked, 1).tests === 0;
+  const nothing = isFile ? !asked.file : !isAdaptive && extent(asked, 1).tests === 0;
   byId("arm").disabled = Boolean(reason) || status?.state === "armed" || nothing;
   byId("start").disabled = !armedHere || !connection.isOperator;
   write(byId("arm"), announcement(asked, status));
@@ -137,13 +147,15 @@ function bindRun(connection, jobs, project) {
   });
 }
 
-const PHASES = { positioning: "moving to the start", settling: "waiting for rest", test: "test runs" };
+const PHASES = { rest: "measuring noise and drift at rest", ramp: "careful start", planning: "fitting the model, choosing the next test", positioning: "moving to the start", settling: "waiting for rest", test: "test runs" };
 
 /** @param {any} run @param {any} status */
 function showRun(run, status) {
   write(byId("run-title"), status.state === "armed" ? `Armed: ${run.name}` : `Run: ${run.name}`);
   byId("run-bar").value = run.fraction ?? 0;
-  const test = run.test ? `Test ${run.number} of ${run.total}, ${run.test}` : "";
+  const count = run.kind === "adaptive" ? "" : ` ${run.number} of ${run.total},`;
+  const test = run.test ? `Test${count} ${run.test}` : "";
+  write(byId("run-why"), run.why ? `Why: ${run.why}.` : "");
   const step = [test, PHASES[run.phase] ?? run.phase].filter(Boolean).join(": ");
   write(byId("run-text"), [step, run.left_s == null ? "" : `${duration(run.left_s)} left`].filter(Boolean).join(". "));
 }

@@ -16,7 +16,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from hitchid.errors import InputError
-from hitchid.hmi.source import REQUIRED, REQUIRED_SIGNALS, Reading
+from hitchid.hmi.source import REQUIRED, REQUIRED_SIGNALS, Reading, signal_named
 
 LOOPBACK = "127.0.0.1"
 MOST_BYTES = 65536  # read at once, and of an unfinished line; chosen
@@ -155,6 +155,14 @@ class JsonLines:
 
     def __init__(self, transport: Transport, label: str, *, can_move: bool = False) -> None:
         self._transport, self.label, self.can_move = transport, label, can_move
+
+    def use_units(self, units: Sequence[str]) -> None:
+        """Take the units of the signals, which lines do not carry; none keep A and mm."""
+        if units:
+            self.signals = tuple(
+                signal_named(signal.name, unit, signal.group)
+                for signal, unit in zip(self.signals, units, strict=True)
+            )
 
     def open(self) -> None:
         """Connect."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from hitchid.bench import load_rig
+from hitchid.bench import Rig, load_rig
 from hitchid.bench.simulation import SAMPLE_S
 from hitchid.bench.stepping import reset, step
 from hitchid.errors import InputError
@@ -33,13 +33,14 @@ class VirtualBench:
     virtual = True
     can_move = True
 
-    def __init__(self, rig: str) -> None:
-        self._rig = load_rig(rig)
-        self.label = f"virtual bench, {rig}"
+    def __init__(self, rig: str | Rig, seed: int = 0) -> None:
+        self._rig, self._seed = (load_rig(rig) if isinstance(rig, str) else rig), seed
+        self.label = f"virtual bench, {rig}" if isinstance(rig, str) else "virtual bench"
 
     def open(self) -> None:
         """Switch the bench on, and compile its step."""
-        self._state, self._measurement = reset(self._rig, jax.random.key(0), initial_displacement_m=START_M)
+        key = jax.random.key(self._seed)
+        self._state, self._measurement = reset(self._rig, key, initial_displacement_m=START_M)
         step(self._rig, self._state, np.zeros(2))  # compiled here: no tick should wait for it
 
     def read(self) -> Sequence[Reading]:

@@ -1,0 +1,315 @@
+"""Sequential design of tests: what is known of a direction, and the test that helps it most for its time.
+
+Θ ~ N(θ̂, P⁻¹) in the unit cube of the search, P = H/s² + I/σ₀², H = Σ JᵀJ over the tests so far. A test is
+judged by how much it reduces two things for each second that it takes: the mean variance of free runs that a
+user will ask for (I-optimality), and the variances of the parameters (D-optimality). Atkinson, Donev & Tobias
+2007, Optimum Experimental Designs, ch. 10 and 17.
+"""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hitchid._support.precision import double_precision
+from hitchid.bench.excitation import prbs
+from hitchid.control.next_test import free_run_batch
+from hitchid.estimation import Objective, best_refined, refine
+from hitchid.structures import Batch, ModelSpec, structure_named
+
+# Rich enough to ask for every level, both dynamics and the whole stroke; what ships is chosen by `identify`.
+FIRST_FORM = ModelSpec(
+    structure_named("integrator-first-order"),
+    dead_time=True,
+    valve_curve=True,
+    spool_dynamics=True,
+    stroke_gain_quadratic=True,
+)
+# Standard deviation σ₀ of what is known of a parameter before any test, share of its search; chosen: such
+# bounds span the machines of the trade, and most lie in the middle.
+PRIOR = 0.3
+LEAST_NOISE = 1e-4  # of the travel: no model of a machine is better than that; chosen
+# Starts of the first fit; a later one begins where the last one ended.
+STARTS, STEPS, TOLERANCE = 6, 40, 1e-6
+SEARCH_STEPS = 25  # of each start before the best is refined; chosen
+CANDIDATES = 40  # tests judged for each direction; chosen: a second's work
+CHUNK = 8  # free runs at once, so that any number of them uses one compiled program
+# Free runs that a user may ask for, of so many drawn ones, and their seed: always the same ones; chosen.
+DUTIES, DRAWS, DUTY_SEED = 16, 40, 1
+CLOCK_S = (
+    0.15,
+    1.2,
+)  # s, shortest and longest mean hold of a level: lag of a valve to steady speed; chosen
+# Highest level of a test, share of the largest command: even in its logarithm, for a slow valve as for a
+# fast one; chosen.
+HIGH = (0.1, 1.0)
+HYSTERESIS = 0.15  # of the dead zone, below it, in which a valve may still be open; chosen
+REST_S = 0.05  # s, closed at the begin of a test, as in the paper's
+BINARY_CLOCK_S = (0.15, 0.4)  # s, shortest hold of a level of two: as in the paper's tests
+CLOSED_SHARE = 0.1  # of the holds have a closed valve, from which motion starts again; chosen
+BINARY_SHARE = 0.25  # of the candidates have two levels, as in the paper's tests; chosen
+END_SHARE = 0.9  # of the travel ahead that a test may use as predicted; chosen
+LEAST_S = 2.0  # s, shortest test; chosen
+PARAMETER_WEIGHT = 0.25  # of the parameters beside free runs; chosen
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What the tests so far say of one direction.
+
+    Attributes:
+        objective: form and tests.
+        position: the best parameters, in the unit cube, shape [D].
+        noise: s², variance of an error that counts as independent, in the displacement's unit squared.
+        precision: P, shape [D, D].
+        tests: as they were measured.
+        rmse: root mean square error in free run over them, in the displacement's unit.
+    """
+
+    objective: Objective
+    position: Float[np.ndarray, " d"]
+    noise: float
+    precision: Float[np.ndarray, "d d"]
+    tests: Batch
+    rmse: float
+
+    @property
+    def dead_zone(self) -> float:
+        """Dead zone of the command, in its unit."""
+        return float(np.asarray(self.tests.dead_zone)[0])
+
+    def determined(self) -> int:
+        """Number of parameters whose standard deviation is below a third of what was known before."""
+        deviations = np.sqrt(np.diag(np.linalg.inv(self.precision)))
+        return int(np.sum(deviations < PRIOR / 3))
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A test of one direction.
+
+    Attributes:
+        commands: of its direction as logged, shape [N].
+        gain_per_s: expected reduction of the logarithm of the error, for a second of bench time.
+        levels: lowest and highest command, as logged.
+        clock_s: mean hold of a level, s.
+        travel: as predicted, in the displacement's unit.
+        variance: expected mean variance of free runs after it, in the displacement's unit squared.
+    """
+
+    commands: Float[np.ndarray, " n"]
+    gain_per_s: float
+    levels: tuple[float, float]
+    clock_s: float
+    travel: float
+    variance: float
+
+
+@double_precision
+def learn(
+    tests: Batch, form: ModelSpec = FIRST_FORM, last: Knowledge | None = None, *, seed: int = 0
+) -> Knowledge:
+    """Return what tests say of their direction, from where the last fit ended.
+
+    Raises:
+        FitError: nothing moves, or no start gives finite errors.
+    """
+    objective = Objective.of(tests.coarse(), form)
+    problem = objective.problem()
+    dimensions = len(form.parameters)
+    starts = [np.full(dimensions, 0.5)]
+    if last is not None and last.objective.spec.parameters == form.parameters:
+        starts.append(objective.position(last.objective.values(last.position)))
+    else:
+        starts.extend(0.2 + 0.6 * np.random.default_rng(seed).random((STARTS - 1, dimensions)))
+    rough = best_refined(problem, starts, limit=SEARCH_STEPS, tolerance=TOLERANCE)
+    position = refine(problem, rough.position, limit=STEPS, tolerance=TOLERANCE).position
+    travel = float(np.max(np.abs(np.asarray(tests.travel)) * np.asarray(tests.loss_mask)))
+    equations = objective.equations_by_test(position)
+    # What counts is how many errors are independent: neighbours of a drifting free run say the same.
+    independent = max(objective.independent_observations(position), 1.0)
+    noise = max(float(equations.costs.sum()) / independent, (LEAST_NOISE * travel) ** 2)
+    precision = equations.curvatures.sum(axis=0) / noise + np.eye(dimensions) / PRIOR**2
+    return Knowledge(objective, position, noise, precision, tests, objective.pooled().error(position))
+
+
+def staircase(
+    lowest: float, highest: float, duration_s: float, step_s: float, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, " n"], float]:
+    """Return the command of a test of many levels, shape [N], and the mean hold of a level, s.
+
+    Each level from the lowest to the highest comes once, in random order: a valve's curve, its hysteresis on
+    the way up and down, and the dynamics are then in one test of ten seconds.
+    """
+    clock_s = float(np.exp(rng.uniform(*np.log(CLOCK_S))))
+    count, rest = round(duration_s / step_s), round(REST_S / step_s) + 1
+    holds = max(2, round(duration_s / clock_s))
+    levels = lowest + (highest - lowest) * (rng.permutation(holds) + rng.random(holds)) / holds
+    levels[rng.random(holds) < CLOSED_SHARE] = 0.0
+    ends = np.cumsum(np.maximum(1, np.round(clock_s * rng.uniform(0.5, 1.5, holds) / step_s))).astype(int)
+    held = levels[np.minimum(np.searchsorted(ends, np.arange(count), side="right"), holds - 1)]
+    return np.concatenate([np.zeros(rest), held])[:count], clock_s
+
+
+def lowest_level(dead_zone: float) -> float:
+    """Return the lowest command of a test: below the dead zone, where a valve that was open still is."""
+    return (1 - HYSTERESIS) * dead_zone
+
+
+def practice_tests(duration_s: float, step_s: float) -> Batch:
+    """Return tests of an integrator with unit travel, by which programs are compiled before there are any."""
+    rng = np.random.default_rng(0)
+    commands = np.stack([staircase(0.2, 1.0, duration_s, step_s, rng)[0] for _ in range(4)])
+    batch = free_run_batch(commands, dead_zone=0.2, start=0.0, sign=1, step_s=step_s)
+    travel = np.cumsum(np.asarray(batch.command), axis=1) / commands.shape[1]
+    return eqx.tree_at(lambda batch: batch.displacement, batch, jnp.asarray(travel))
+
+
+def draw_tests(
+    known: Knowledge, count: int, longest_s: float, highest: float, seed: int
+) -> tuple[Float[np.ndarray, "t n"], list[float]]:
+    """Return commands of tests up to a highest one, as logged, shape [T, N], and their mean holds, s."""
+    rng, step_s, zone = np.random.default_rng(seed), known.tests.step_s, known.dead_zone
+    rows, clocks = [], []
+    for number in range(count):
+        top = zone + (highest - zone) * np.exp(rng.uniform(*np.log(HIGH)))
+        lowest = lowest_level(zone)
+        if number < BINARY_SHARE * count:
+            low, clock_s = rng.uniform(lowest, 0.5 * (lowest + top)), rng.uniform(*BINARY_CLOCK_S)
+            effective = prbs(
+                low=low,
+                high=top,
+                clock_s=clock_s,
+                duration_s=longest_s,
+                seed=int(rng.integers(2**31)),
+                step_s=step_s,
+            )
+            rows.append(effective)
+            clocks.append(0.0)
+        else:
+            row, clock_s = staircase(lowest, top, longest_s, step_s, rng)
+            rows.append(row)
+            clocks.append(clock_s)
+    samples = min(map(len, rows))
+    return np.stack([row[:samples] for row in rows]), clocks
+
+
+@double_precision
+def free_run_slopes(
+    known: Knowledge, commands: Float[np.ndarray, "t n"], start: float
+) -> tuple[Float[np.ndarray, "t n"], Float[np.ndarray, "t n d"]]:
+    """Return travel of free runs, and its derivatives by the parameters in the unit cube."""
+    tests, count = known.tests, len(commands)
+    batch = free_run_batch(
+        np.resize(commands, (-(-count // CHUNK) * CHUNK, commands.shape[1])),
+        dead_zone=known.dead_zone,
+        start=start,
+        sign=tests.sign,
+        step_s=tests.step_s,
+    )
+    form = known.objective.with_data(batch.take([0]))  # of one shape, whatever the number of tests
+    chunks = [batch.take(range(first, first + CHUNK)) for first in range(0, count, CHUNK)]
+    rows = [_travel_and_slopes(form, chunk, jnp.asarray(known.position)) for chunk in chunks]
+    travel, slopes = (
+        np.concatenate([np.asarray(part) for part in parts]) for parts in zip(*rows, strict=True)
+    )
+    return travel[:count, : commands.shape[1]], slopes[:count, : commands.shape[1]]
+
+
+@eqx.filter_jit
+def _travel_and_slopes(
+    objective: Objective, batch: Batch, position: Float[Array, " d"]
+) -> tuple[Float[Array, "t n"], Float[Array, "t n d"]]:
+    def travel(position: Float[Array, " d"]) -> Float[Array, "t n"]:
+        values = objective.bounds.values(position)
+        return objective.spec.physical_model(values, objective.scales).travel(batch)
+
+    return travel(position), jax.jacfwd(travel)(position)
+
+
+def within(travel: Float[np.ndarray, " n"], available: float) -> int:
+    """Return the number of samples until a travel uses its share of what is available."""
+    beyond = np.flatnonzero(travel > END_SHARE * available)
+    return int(beyond[0]) if beyond.size else len(travel)
+
+
+def information(known: Knowledge, slopes: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "d d"]:
+    """Return what one more test adds to the precision: JᵀJ/s², on the clock of the fit."""
+    share = known.tests.step_s / known.objective.batch.step_s
+    return share * slopes.T @ slopes / known.noise
+
+
+class Duties:
+    """Free runs that a user may ask for, by their derivatives.
+
+    They are drawn tests that last for their whole length within the travel, as those that a model is
+    validated by; where hardly any does, those that last longest.
+    """
+
+    def __init__(
+        self, known: Knowledge, start: float, available: float, highest: float, duration_s: float
+    ) -> None:
+        commands, _ = draw_tests(known, DRAWS, duration_s, highest, DUTY_SEED)
+        travel, slopes = free_run_slopes(known, commands, start)
+        ends = np.array([within(row, available) for row in travel])
+        longest = np.argsort(-ends, kind="stable")[:DUTIES]
+        rows = np.concatenate([slopes[number, : ends[number]] for number in longest])
+        self._moment = rows.T @ rows / len(rows)
+
+    def variance(self, precision: Float[np.ndarray, "d d"]) -> float:
+        """Return the expected mean variance of these free runs, in the displacement's unit squared."""
+        return float(np.trace(np.linalg.solve(precision, self._moment)))
+
+
+@double_precision
+def best_test(
+    known: Knowledge,
+    duties: Duties,
+    *,
+    start: float,
+    available: float,
+    highest: float,
+    longest_s: float,
+    overhead_s: float,
+    seed: int,
+) -> Choice | None:
+    """Return the test with the largest expected gain for a second of bench time; None where none fits.
+
+    Args:
+        known: of its direction.
+        duties: free runs that a user may ask for.
+        start: displacement at which it begins.
+        available: travel ahead, in the displacement's unit.
+        highest: largest command as logged.
+        longest_s: longest test, s.
+        overhead_s: time of the move to its start and of the rest there, s.
+        seed: of the candidates.
+    """
+    commands, clocks = draw_tests(known, CANDIDATES, longest_s, highest, seed)
+    travel, slopes = free_run_slopes(known, commands, start)
+    before, log_before = duties.variance(known.precision), np.linalg.slogdet(known.precision)[1]
+    best: Choice | None = None
+    for command, clock_s, row, jacobian in zip(commands, clocks, travel, slopes, strict=True):
+        samples = within(row, available)
+        duration_s = samples * known.tests.step_s
+        if duration_s < LEAST_S or not np.any(command[:samples] > 0):
+            continue
+        precision = known.precision + information(known, jacobian[:samples])
+        after = duties.variance(precision)
+        determinant = np.linalg.slogdet(precision)[1] - log_before
+        gain = np.log(before / after) + PARAMETER_WEIGHT * determinant / len(precision)
+        gain_per_s = float(gain / (duration_s + overhead_s))
+        if best is None or gain_per_s > best.gain_per_s:
+            moving = command[:samples][command[:samples] > 0]
+            best = Choice(
+                commands=command[:samples],
+                gain_per_s=gain_per_s,
+                levels=(float(moving.min()), float(moving.max())),
+                clock_s=clock_s,
+                travel=float(row[samples - 1]),
+                variance=after,
+            )
+    return best
