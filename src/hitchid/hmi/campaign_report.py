@@ -149,7 +149,7 @@ def write_campaign_report(
     document = Document(
         title="Campaign that chose its own tests",
         subtitle=name,
-        verdict=(Finding(Rating.GOOD, f"It ended: {reason}."),),
+        verdict=tuple(_findings(reason, rounds, unit)),
         sections=(
             ReportSection("Errors over bench time", (Text(EXPLANATION), *_pictures(curves, points, unit))),
             ReportSection("Rounds", (_table(rounds, unit),)),
@@ -157,6 +157,20 @@ def write_campaign_report(
     )
     write_report(root / out, document, {}, mark=project.REPORT_FILE)
     return f"{out}/{project.REPORT_FILE}"
+
+
+def _findings(reason: str, rounds: Sequence[Mapping[str, Any]], unit: str) -> list[Finding]:
+    """Return why the campaign ended, and what each direction has reached; open ends first."""
+    has_reached = reason.startswith(("the goal is reached", "all that ships is determined"))
+    findings = [Finding(Rating.GOOD if has_reached else Rating.CAUTION, f"It ended: {reason}.")]
+    for direction, own in (rounds[-1]["directions"] if rounds else {}).items():
+        if own.get("validation") is None:
+            text = f"{direction}: no test was run that is not fitted; how good the model is, is not known."
+            findings.append(Finding(Rating.CAUTION, text.capitalize()))
+        else:
+            text = f"{direction}: {own['validation']:.3g} {unit} in free run on tests that were never fitted."
+            findings.append(Finding(Rating.GOOD, text.capitalize()))
+    return sorted(findings, key=lambda finding: finding.level is Rating.GOOD)
 
 
 def _free(root: Path, name: str) -> str:

@@ -18,6 +18,7 @@ from hitchid.bench import load_rig
 from hitchid.errors import InputError
 from hitchid.hmi import project
 from hitchid.hmi.bench_loop import BenchLoop
+from hitchid.hmi.bench_process import run_in_real_time
 from hitchid.hmi.plans import AdaptivePlan, Limits, limits_of_rig, read_goal, read_plan
 from hitchid.hmi.safety import State
 from hitchid.hmi.source import Source
@@ -119,6 +120,7 @@ def campaign(
             {**plan, "unattended": made.virtual}, root, goal_unit
         )
     finally:
+        run_in_real_time(wanted=False)
         loop.close()
         if lock is not None:
             os.close(lock)
@@ -141,6 +143,7 @@ class _Operator:
         # Before it is armed, from when on a watchdog counts every tick: what there is now stays.
         gc.collect()
         gc.freeze()
+        run_in_real_time(wanted=not self._source.virtual)
         self._catch_up()
         loop.handle({"type": "arm", "plan": plan}, self._now_s)
         self._catch_up()

@@ -47,7 +47,9 @@ class PlannerLink:
         self._process, self._connection = connected_module(
             "hitchid.hmi.planner", json.dumps(settings), new_session=True
         )
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, AttributeError):  # AttributeError: not on macOS
+            # It inherits that the bench loop goes before all others, which it must not.
+            os.sched_setscheduler(self._process.pid, os.SCHED_OTHER, os.sched_param(0))
             os.setpriority(os.PRIO_PROCESS, self._process.pid, PLANNER_NICE)
         self._outbox = Outbox(self._connection)
         threading.Thread(target=self._receive, daemon=True).start()
