@@ -28,8 +28,8 @@ class Script:
 
     def answer(self):
         if not self.tests:
-            return {"stop": "the script is over", "waited_s": 0.0}
-        return {"stop": "", "waited_s": 0.0, "begin": None, "move": "moves/move-01", **self.tests.pop(0)}
+            return {"stop": "the script is over", "seconds": 0.0}
+        return {"stop": "", "seconds": 0.0, "begin": None, "move": "moves/move-01", **self.tests.pop(0)}
 
 
 def carried_out(plant, planner, machine=MACHINE, **options):

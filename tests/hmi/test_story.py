@@ -118,3 +118,33 @@ def test_from_the_bench_to_a_driven_hitch(operator, project):
     assert (project / "drives" / "evening.csv").stat().st_size > 10_000
     events = [json.loads(line)["event"] for line in (project / "hmi.log").read_text().splitlines()]
     assert events == ["claim", "connect", "arm", "start", "arm", "start", "stop", "stopped", "reset"]
+
+
+def test_campaign_chooses_its_own_tests_is_stopped_and_goes_on(tmp_path):
+    campaign = tmp_path / "campaigns" / "chosen"
+    with chromium() as browser, served(tmp_path, "--silence-ms", "5000") as (link, _):
+        operator = Operator(browser.new_page(viewport={"width": 1280, "height": 800}), link)
+        operator.wait_for_state("no source")
+        operator.connect(speed=20)
+        operator.tab_campaign.click()
+        operator.plan_kind.select_option("adaptive")
+        operator.fill_plan(name="chosen", minutes=1.6, goal="free run 0.2 kg in 10 s")
+        assert operator.plan_minutes.is_visible()
+        assert not operator.plan_ramps.is_visible()
+        operator.fill_plan(goal="")
+        operator.run()
+        # What it does next and why, in one line.
+        wait_until(lambda: "the first test of this direction" in operator.run_why.inner_text())
+        operator.page.screenshot(path=tmp_path / "page.png")
+        operator.page.keyboard.press("Escape")
+        operator.wait_for_state("stopped")
+        before = sorted(campaign.glob("*.csv"))
+        operator.reset.click()
+        operator.wait_for_state("idle")
+        operator.fill_plan(name="chosen")
+        operator.plan_resume.check()
+        operator.run()
+        operator.wait_for_state("idle", LONGEST_S)
+        assert set(before) < set(campaign.glob("*.csv"))
+        wait_until((tmp_path / "reports" / "chosen" / "report.html").exists)
+        assert operator.messages == []

@@ -112,7 +112,7 @@ class CampaignPlanner:
         self._files.save(minutes, start, self._rounds)
         choices = self._choices(displacement, start, campaign)
         stop = self._stop(minutes, validation, choices, start)
-        answer: dict[str, Any] = {"stop": stop, "result": {}, "waited_s": 0.0, "why": stop}
+        answer: dict[str, Any] = {"stop": stop, "result": {}, "why": stop}
         if stop:
             answer["result"] = {
                 "reason": stop,

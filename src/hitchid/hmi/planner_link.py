@@ -72,13 +72,9 @@ class PlannerLink:
         return self._answer
 
     def wait(self, longest_s: float) -> None:
-        """Wait for an answer, where the machine stands still meanwhile; the answer tells the time it took."""
-        if not self._is_asked:
-            return
-        self._is_asked = False
-        self._answered.wait(longest_s)
-        if self._answer is not None:
-            self._answer = {**self._answer, "waited_s": self._answer["seconds"]}
+        """Wait for an answer where one is due, for a machine that stands still meanwhile."""
+        if self._is_asked:
+            self._answered.wait(longest_s)
 
     def end(self) -> None:
         """End the process, in a thread of its own: a tick does not wait for it."""
@@ -103,6 +99,7 @@ class PlannerLink:
                     self.why = str(content["why"])
                     self.result = content["result"] or self.result
                     self._answer = content
+                self._is_asked = False
                 self._answered.set()
         except (EOFError, OSError, TypeError):  # TypeError: closed by this side in the middle of a message
             self._error = self._error or "the planner of the campaign has ended; go on with --resume"
