@@ -8,6 +8,7 @@ same loop. All models are judged by free run on 40 tests that none has seen.
 """
 
 import argparse
+import json
 import shutil
 import sys
 import tempfile
@@ -149,8 +150,6 @@ def random_tests(rig: Rig, folder: Path, seed: int, seconds: float) -> Path:
 
 def part_of(folder: Path, minutes: float, out: Path) -> Path:
     """Copy what a campaign had logged after some minutes of bench time, by the times of its rounds."""
-    import json
-
     rounds = json.loads((folder / "progress.json").read_bytes())["rounds"]
     count = max(entry["tests"] for entry in rounds if entry["minutes"] <= minutes)
     logs = sorted([*folder.glob("*.csv"), *folder.glob("*/*.csv")], key=lambda log: log.stat().st_mtime_ns)
@@ -181,7 +180,7 @@ def errors(logs: Path, tests: "hitchid.Campaign", training: bool) -> dict[str, f
     try:
         found = hitchid.identify(hitchid.read(logs), progress=False, rivals=None, **settings)
     except hitchid.HitchError as error:
-        print(f"   {logs.name}: {error}", file=sys.stderr)
+        sys.stderr.write(f"   {logs.name}: {error}\n")
         return {}
     squares: dict[str, list[float]] = {}
     for record in tests.records:
@@ -217,6 +216,11 @@ def compare(number: int, training: bool, folder: Path) -> dict[str, dict[str, fl
     return found
 
 
+def _say(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()
+
+
 def main() -> None:
     """Print the errors of each machine, and their ratios over all machines."""
     parser = argparse.ArgumentParser()
@@ -232,14 +236,17 @@ def main() -> None:
             folder = (arguments.keep or Path(temporary)) / f"machine-{number:02d}"
             found = compare(number, not arguments.physics, folder)
         bench = found.pop("bench")
-        print(f"machine {number}: " + ", ".join(f"{key} {value:.3g}" for key, value in bench.items()))
+        _say(f"machine {number}: " + ", ".join(f"{key} {value:.3g}" for key, value in bench.items()))
         for name, by_direction in found.items():
-            print(f"  {name:14s}", {key: round(value, 4) for key, value in by_direction.items()}, flush=True)
+            _say(f"  {name:14s} { ({key: round(value, 4) for key, value in by_direction.items()}) }")
         for name in list(found)[1:]:
-            pairs = [(found[name].get(d, np.inf), found["fixed"][d]) for d in DIRECTIONS]
-            ratios.setdefault(name, []).append(float(np.exp(np.mean([np.log(a / b) for a, b in pairs]))))
+            own, fixed = (
+                np.linalg.norm([errors_of.get(direction, np.inf) for direction in DIRECTIONS])
+                for errors_of in (found[name], found["fixed"])
+            )
+            ratios.setdefault(name, []).append(float(own / fixed))
     for name, values in ratios.items():
-        print(f"{name}: ratio to the fixed programme, median {np.median(values):.3g}, {np.round(values, 2)}")
+        _say(f"{name}: ratio to the fixed programme, median {np.median(values):.3g}, {np.round(values, 2)}")
 
 
 if __name__ == "__main__":

@@ -81,11 +81,6 @@ class Knowledge:
         """Dead zone of the command, in its unit."""
         return float(np.asarray(self.tests.dead_zone)[0])
 
-    def determined(self) -> int:
-        """Number of parameters whose standard deviation is below a third of what was known before."""
-        deviations = np.sqrt(np.diag(np.linalg.inv(self.precision)))
-        return int(np.sum(deviations < PRIOR / 3))
-
 
 @dataclass(frozen=True)
 class Choice:
