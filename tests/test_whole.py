@@ -68,6 +68,7 @@ PUBLIC = [
     "HitchError",
     "Record",
     "__version__",
+    "campaign",
     "compare",
     "cross_validate",
     "identify",
