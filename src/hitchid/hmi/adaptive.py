@@ -8,7 +8,7 @@ or what ever, goes on from there.
 from collections.abc import Collection, Generator, Mapping
 from dataclasses import asdict, dataclass
 from itertools import count
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -75,6 +75,7 @@ class Start:
         return tuple(name for name, sign in zip(DIRECTIONS, self.signs, strict=True) if sign)
 
 
+@runtime_checkable
 class Planner(Protocol):
     """Who chooses the tests; no call may block."""
 
