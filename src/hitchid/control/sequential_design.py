@@ -6,6 +6,7 @@ user will ask for (I-optimality), and the variances of the parameters (D-optimal
 2007, Optimum Experimental Designs, ch. 10 and 17.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -13,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.stats import t as student_t
 
 from hitchid._support.precision import double_precision
 from hitchid.bench.excitation import prbs
@@ -53,6 +55,7 @@ CLOSED_SHARE = 0.1  # of the holds have a closed valve, from which motion starts
 BINARY_SHARE = 0.25  # of the candidates have two levels, as in the paper's tests; chosen
 END_SHARE = 0.9  # of the travel ahead that a test may use as predicted; chosen
 LEAST_S = 2.0  # s, shortest test; chosen
+CONFIDENCE = 0.9  # one-sided, that the mean error of tests meets a goal; chosen
 PARAMETER_WEIGHT = 0.25  # of the parameters beside free runs; chosen
 
 
@@ -308,3 +311,11 @@ def best_test(
                 variance=after,
             )
     return best
+
+
+def upper_bound(errors: Sequence[float]) -> float:
+    """Return the upper bound of the mean of errors of tests, one-sided; infinite for fewer than two."""
+    if len(errors) < 2:
+        return float("inf")
+    quantile = float(student_t.ppf(CONFIDENCE, len(errors) - 1))
+    return float(np.mean(errors) + quantile * np.std(errors, ddof=1) / len(errors) ** 0.5)

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student_t
 
 import hitchid
 from hitchid._support.precision import double_precision
 from hitchid.bench.excitation import evaluate_ramps
 from hitchid.control.sequential_design import (
+    CONFIDENCE,
     Choice,
     Duties,
     Knowledge,
@@ -27,9 +27,10 @@ from hitchid.control.sequential_design import (
     lowest_level,
     practice_tests,
     staircase,
+    upper_bound,
     within,
 )
-from hitchid.errors import HitchError
+from hitchid.errors import HitchError, InputError, SettingsError
 from hitchid.hmi.adaptive import Start
 from hitchid.hmi.campaign_files import MOVES, PROGRESS, VALIDATION, CampaignFiles, read_progress
 from hitchid.hmi.plans import AdaptivePlan, Limits, read_goal
@@ -40,6 +41,7 @@ from hitchid.structures import Batch
 
 TEST_S = 10.0  # s, longest test where no goal says otherwise: the paper's; chosen
 RAMP_S = 20.0  # s, in which the command of a ramp rises to its limit: as in the fixed programme; chosen
+MOST_RAMPS = 3  # of a direction, until one has shown its dead zone; chosen
 FIRST_TRAVEL = 0.6  # of the travel ahead, that the first test of a direction may use by its ramp; chosen
 LEAST_AHEAD = 0.25  # of the travel, below which a test does not begin where the last one ended; chosen
 RISE_OF_MOVE_S = 1.5  # s, that a move takes beside its way; chosen
@@ -47,8 +49,6 @@ RISE_OF_MOVE_S = 1.5  # s, that a move takes beside its way; chosen
 # judged, more often. Chosen: a sixth to a tenth of the time.
 FIRST_VALIDATION, VALIDATION_EVERY = 6, 8
 FIRST_VALIDATION_GOAL, VALIDATION_EVERY_GOAL = 3, 4
-FEWEST_VALIDATIONS = 2  # of each direction, to judge a goal by
-CONFIDENCE = 0.9  # one-sided, that the mean error meets a goal
 IDENTIFY_EVERY = 8  # tests between two choices of the form that ships; chosen
 NOTHING_GAINED = 0.05  # of the expected error, that five minutes must bring; chosen
 FURTHER_S = 300.0  # s, of which is said what they would bring
@@ -102,9 +102,8 @@ class CampaignPlanner:
             minutes, start, self._rounds
         )  # first: a campaign that is killed while it plans loses nothing
         self._files.hold_out_validations()
-        campaign, notices, validation = None, [""], {}
-        if any(self._files.folder.glob("*.csv")):
-            campaign, _ = from_rest(read(self._files.folder), otherwise="the model may be wrong")
+        campaign, notices, validation = self._read(), [""], {}
+        if campaign is not None:
             notices = [self._learn(campaign, direction) for direction in start.directions]
             validation = {direction: self._validation(campaign, direction) for direction in start.directions}
             self._identify_beside(campaign)
@@ -127,6 +126,18 @@ class CampaignPlanner:
             choices, key=lambda choice: choice["gain_per_s"]
         )
         return answer | test | {"why": "; ".join([test["why"], *filter(None, notices)])}
+
+    def _read(self) -> Campaign | None:
+        """Return the tests so far; None before the first one that can be used."""
+        if not any(self._files.folder.glob("*.csv")):
+            return None
+        try:
+            campaign, _ = from_rest(read(self._files.folder), otherwise="the model may be wrong")
+        except SettingsError:
+            raise
+        except InputError:  # such as of a first ramp that was stopped before anything moved
+            return None
+        return campaign
 
     def _learn(self, campaign: Campaign, direction: str) -> str:
         """Fit the model of a direction anew; return what prevents it, or nothing."""
@@ -264,7 +275,12 @@ class CampaignPlanner:
             # Before any that is chosen by a model; where the way to its start is the shorter one first.
             "gain_per_s": 1e6 + (begin is None),
         }
-        if campaign is None or not self._files.count(f"ramp-{direction}-"):
+        # Of those that were stopped before anything moved there may be several; then the start must do.
+        static = None
+        for ramp in () if campaign is None else campaign.ramps(direction):
+            with contextlib.suppress(HitchError):
+                static = evaluate_ramps([ramp], direction, start.signs[channel])
+        if static is None and self._files.count(f"ramp-{direction}-") < MOST_RAMPS:
             command = np.linspace(0.0, self._highest(direction), round(RAMP_S / self._interval_s) + 1)
             return common | {
                 "command": command.tolist(),
@@ -273,9 +289,8 @@ class CampaignPlanner:
                 "duration_s": RAMP_S * start.onsets[channel] / self._highest(direction),
                 "why": f"{direction}, a slow ramp until it moves: the dead zone",
             }
-        sign, onset, speed = start.signs[channel], start.onsets[channel], start.speeds[channel]
-        with contextlib.suppress(HitchError):
-            static = evaluate_ramps(campaign.ramps(direction), direction, sign)
+        onset, speed = start.onsets[channel], start.speeds[channel]
+        if static is not None:
             onset, speed = static.dead_zone, max(static.speed_per_command, speed)
         # At the mean level throughout, half the highest, it stays within its share of the travel.
         highest = min(
@@ -295,11 +310,8 @@ class CampaignPlanner:
         first = FIRST_VALIDATION_GOAL if self._goal else FIRST_VALIDATION
         every = VALIDATION_EVERY_GOAL if self._goal else VALIDATION_EVERY
         for direction in start.directions:
-            fitted, held_out = (
-                self._files.count(f"{direction}-"),
-                self._files.count(f"{VALIDATION}{direction}-"),
-            )
-            if fitted < first + every * held_out or direction not in self._known:
+            held_out = self._files.count(f"{VALIDATION}{direction}-")
+            if self._files.count(f"{direction}-") < first + every * held_out or direction not in self._known:
                 continue
             # From the end that it leads away from, as the runs that a model is asked for.
             begin = self._end(direction, start)
@@ -368,7 +380,7 @@ class CampaignPlanner:
                 "and go on with --resume"
             )
         if self._goal is not None and validation:
-            bounds = [_upper_bound(errors) for errors in validation.values()]
+            bounds = [upper_bound(errors) for errors in validation.values()]
             if max(bounds) <= self._goal.error:
                 reached = max(float(np.mean(errors)) for errors in validation.values())
                 return (
@@ -414,14 +426,6 @@ class CampaignPlanner:
             )
         except (HitchError, OSError, ValueError, np.linalg.LinAlgError) as error:
             return f"no report could be written: {error}"
-
-
-def _upper_bound(errors: Sequence[float]) -> float:
-    """Return the upper bound of the mean error, one-sided; infinite for too few tests."""
-    if len(errors) < FEWEST_VALIDATIONS:
-        return float("inf")
-    quantile = float(student_t.ppf(CONFIDENCE, len(errors) - 1))
-    return float(np.mean(errors) + quantile * np.std(errors, ddof=1) / len(errors) ** 0.5)
 
 
 def main(arguments: Sequence[str]) -> None:
