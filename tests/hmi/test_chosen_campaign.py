@@ -172,7 +172,7 @@ def test_example_in_c_is_tested_and_identified(tmp_path):
     plant = tmp_path / "plant"
     subprocess.run(["cc", "-O2", "-Wall", "-Werror", EXAMPLE / "plant.c", "-lm", "-o", plant], check=True)  # noqa: S603, S607
     port = free_port()
-    options = ["--source", f"udp:{port}", "--limits", str(EXAMPLE / "limits.toml"), "--minutes", "1.1"]
+    options = ["--source", f"udp:{port}", "--limits", str(EXAMPLE / "limits.toml"), "--minutes", "1.5"]
     with subprocess.Popen([plant, str(port)]) as machine:  # noqa: S603
         try:
             command, folder = [*PROGRAM, str(tmp_path / "project"), *options], tmp_path / "project"
