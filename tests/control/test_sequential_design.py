@@ -55,70 +55,70 @@ def measured(count, seed):
 
 
 @pytest.fixture(scope="module")
-def known():
+def posterior():
     """Return what two tests say."""
     return learn(measured(2, 0))
 
 
-def duties_of(known):
-    return Duties(known, 0.0, TRAVEL, HIGHEST, 8.0)
+def duties_of(posterior):
+    return Duties(posterior, 0.0, TRAVEL, HIGHEST, 8.0)
 
 
-def test_fit_reaches_the_noise_of_the_sensor(known):
-    assert known.rmse == pytest.approx(NOISE, rel=0.1)
+def test_fit_reaches_the_noise_of_the_sensor(posterior):
+    assert posterior.rmse == pytest.approx(NOISE, rel=0.1)
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_no_test_leaves_more_open(known, seed):
-    duties = duties_of(known)
-    commands, _ = draw_tests(known, 4, 4.0, HIGHEST, seed)
-    _, slopes = free_run_slopes(known, commands, 0.0)
-    before = duties.variance(known.precision)
+def test_no_test_leaves_more_open(posterior, seed):
+    duties = duties_of(posterior)
+    commands, _ = draw_tests(posterior, 4, 4.0, HIGHEST, seed)
+    _, slopes = free_run_slopes(posterior, commands, 0.0)
+    before = duties.variance(posterior.precision)
     # Up to rounding of the solution, whose matrix has a condition of 1e9.
-    after = [duties.variance(known.precision + information(known, rows)) for rows in slopes]
+    after = [duties.variance(posterior.precision + information(posterior, rows)) for rows in slopes]
     assert max(after) <= before * (1 + 1e-6)
 
 
-def test_a_fit_goes_on_from_the_last_one(known):
-    later = learn(measured(4, 0), last=known)
+def test_a_fit_goes_on_from_the_last_one(posterior):
+    later = learn(measured(4, 0), last=posterior)
     afresh = learn(measured(4, 0))
     assert later.rmse <= 1.01 * afresh.rmse
 
 
-def test_nothing_is_known_before_the_first_test_but_the_prior(known):
-    before = duties_of(known).variance(np.eye(len(known.position)) / PRIOR**2)
-    assert before > 100 * duties_of(known).variance(known.precision)
+def test_nothing_is_known_before_the_first_test_but_the_prior(posterior):
+    before = duties_of(posterior).variance(np.eye(len(posterior.position)) / PRIOR**2)
+    assert before > 100 * duties_of(posterior).variance(posterior.precision)
 
 
-def test_slopes_are_the_derivatives_of_the_free_run(known):
-    commands, _ = draw_tests(known, 3, 4.0, HIGHEST, 5)
-    travel, slopes = free_run_slopes(known, commands, 0.0)
-    direction = np.ones(len(known.position)) / len(known.position)
+def test_slopes_are_the_derivatives_of_the_free_run(posterior):
+    commands, _ = draw_tests(posterior, 3, 4.0, HIGHEST, 5)
+    travel, slopes = free_run_slopes(posterior, commands, 0.0)
+    direction = np.ones(len(posterior.position)) / len(posterior.position)
     step = 1e-6
-    moved = replace(known, position=known.position + step * direction)
+    moved = replace(posterior, position=posterior.position + step * direction)
     difference = (free_run_slopes(moved, commands, 0.0)[0] - travel) / step
     scale = np.abs(slopes @ direction).max()
     # A forward difference is wrong by its step times the curvature, and by rounding over the step.
     assert np.abs(difference - slopes @ direction).max() < 1e-3 * scale
 
 
-def test_chosen_test_beats_the_middle_of_the_candidates(known):
-    duties, options = duties_of(known), {"start": 0.0, "available": TRAVEL, "highest": HIGHEST}
-    chosen = best_test(known, duties, **options, longest_s=8.0, overhead_s=1.0, seed=3)
-    commands, _ = draw_tests(known, CANDIDATES, 8.0, HIGHEST, 3)
-    travel, slopes = free_run_slopes(known, commands, 0.0)
+def test_chosen_test_beats_the_middle_of_the_candidates(posterior):
+    duties, options = duties_of(posterior), {"start": 0.0, "available": TRAVEL, "highest": HIGHEST}
+    chosen = best_test(posterior, duties, **options, longest_s=8.0, overhead_s=1.0, seed=3)
+    commands, _ = draw_tests(posterior, CANDIDATES, 8.0, HIGHEST, 3)
+    travel, slopes = free_run_slopes(posterior, commands, 0.0)
     after = [
-        duties.variance(known.precision + information(known, jacobian[: within(row, TRAVEL)]))
+        duties.variance(posterior.precision + information(posterior, jacobian[: within(row, TRAVEL)]))
         for row, jacobian in zip(travel, slopes, strict=True)
     ]
     assert chosen.variance <= np.median(after)
-    assert chosen.variance < duties.variance(known.precision)
+    assert chosen.variance < duties.variance(posterior.precision)
 
 
-def test_chosen_test_stays_within_travel_and_command(known):
+def test_chosen_test_stays_within_travel_and_command(posterior):
     chosen = best_test(
-        known,
-        duties_of(known),
+        posterior,
+        duties_of(posterior),
         start=0.0,
         available=100.0,
         highest=0.7,
@@ -131,10 +131,10 @@ def test_chosen_test_stays_within_travel_and_command(known):
     assert chosen.travel <= 100.0
 
 
-def test_no_test_fits_where_there_is_no_way(known):
+def test_no_test_fits_where_there_is_no_way(posterior):
     options = {"start": 0.0, "available": 0.0, "highest": HIGHEST, "longest_s": 8.0, "overhead_s": 1.0}
     # Not even for the shortest test: the piston moves within its first second.
-    moving = [best_test(known, duties_of(known), **options, seed=seed) for seed in range(3)]
+    moving = [best_test(posterior, duties_of(posterior), **options, seed=seed) for seed in range(3)]
     assert all(choice is None or choice.travel <= 1e-9 for choice in moving)
 
 

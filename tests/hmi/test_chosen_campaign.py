@@ -89,9 +89,9 @@ def test_lift_in_degrees_and_percent_at_ten_hertz_is_known_to_its_noise(tmp_path
     assert np.all(sent <= (80.0, 70.0))
     assert not np.any(np.all(sent > 0, axis=1))
     assert hitchid.read(result.folder).units["displacement"] == "deg"
-    for known in result.rounds[-1]["directions"].values():
+    for errors in result.rounds[-1]["directions"].values():
         # Rounded to the sensor's noise, which a model of the right form reaches with some tests.
-        assert known["rmse"] < 3 * lift.noise_deg
+        assert errors["rmse"] < 3 * lift.noise_deg
 
 
 @pytest.mark.long
@@ -136,8 +136,8 @@ class Machine(threading.Thread):
             try:
                 self.link.send(json.dumps(sample).encode())
                 while True:
-                    told = json.loads(self.link.recv(4096))
-                    self.commands = np.array([told["lifting_command"], told["lowering_command"]])
+                    line = json.loads(self.link.recv(4096))
+                    self.commands = np.array([line["lifting_command"], line["lowering_command"]])
             except OSError:  # nobody listens, or nothing more has come
                 pass
             self.plant.write(self.commands)
@@ -186,9 +186,9 @@ def test_example_in_c_is_tested_and_identified(tmp_path):
     if "was late by" in done.stderr.splitlines()[-1]:
         pytest.skip("the host is too busy for a loop in real time")
     assert done.returncode == 0, done.stderr
-    found = hitchid.identify(
+    identified = hitchid.identify(
         hitchid.read(folder / "campaigns" / "campaign"), training=None, rivals=None, progress=False
     )
     # As the plant's constants say, 0.3 A beyond the dead zones; a sensor without noise.
-    assert found.model.speed(0.65, "lifting").speed == pytest.approx(27.0, rel=0.05)
-    assert found.model.speed(0.55, "lowering").speed == pytest.approx(-21.0, rel=0.05)
+    assert identified.model.speed(0.65, "lifting").speed == pytest.approx(27.0, rel=0.05)
+    assert identified.model.speed(0.55, "lowering").speed == pytest.approx(-21.0, rel=0.05)

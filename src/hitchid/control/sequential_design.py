@@ -60,7 +60,7 @@ PARAMETER_WEIGHT = 0.25  # of the parameters beside free runs; chosen
 
 
 @dataclass(frozen=True)
-class Knowledge:
+class Posterior:
     """What the tests so far say of one direction.
 
     Attributes:
@@ -108,8 +108,8 @@ class Choice:
 
 @double_precision
 def learn(
-    tests: Batch, form: ModelSpec = FIRST_FORM, last: Knowledge | None = None, *, seed: int = 0
-) -> Knowledge:
+    tests: Batch, form: ModelSpec = FIRST_FORM, last: Posterior | None = None, *, seed: int = 0
+) -> Posterior:
     """Return what tests say of their direction, from where the last fit ended.
 
     Raises:
@@ -131,7 +131,7 @@ def learn(
     independent = max(objective.independent_observations(position), 1.0)
     noise = max(float(equations.costs.sum()) / independent, (LEAST_NOISE * travel) ** 2)
     precision = equations.curvatures.sum(axis=0) / noise + np.eye(dimensions) / PRIOR**2
-    return Knowledge(objective, position, noise, precision, tests, objective.pooled().error(position))
+    return Posterior(objective, position, noise, precision, tests, objective.pooled().error(position))
 
 
 def staircase(
@@ -167,10 +167,10 @@ def practice_tests(duration_s: float, step_s: float) -> Batch:
 
 
 def draw_tests(
-    known: Knowledge, count: int, longest_s: float, highest: float, seed: int
+    posterior: Posterior, count: int, longest_s: float, highest: float, seed: int
 ) -> tuple[Float[np.ndarray, "t n"], list[float]]:
     """Return commands of tests up to a highest one, as logged, shape [T, N], and their mean holds, s."""
-    rng, step_s, zone = np.random.default_rng(seed), known.tests.step_s, known.dead_zone
+    rng, step_s, zone = np.random.default_rng(seed), posterior.tests.step_s, posterior.dead_zone
     rows, clocks = [], []
     for number in range(count):
         top = zone + (highest - zone) * np.exp(rng.uniform(*np.log(HIGH)))
@@ -197,20 +197,20 @@ def draw_tests(
 
 @double_precision
 def free_run_slopes(
-    known: Knowledge, commands: Float[np.ndarray, "t n"], start: float
+    posterior: Posterior, commands: Float[np.ndarray, "t n"], start: float
 ) -> tuple[Float[np.ndarray, "t n"], Float[np.ndarray, "t n d"]]:
     """Return travel of free runs, and its derivatives by the parameters in the unit cube."""
-    tests, count = known.tests, len(commands)
+    tests, count = posterior.tests, len(commands)
     batch = free_run_batch(
         np.resize(commands, (-(-count // CHUNK) * CHUNK, commands.shape[1])),
-        dead_zone=known.dead_zone,
+        dead_zone=posterior.dead_zone,
         start=start,
         sign=tests.sign,
         step_s=tests.step_s,
     )
-    form = known.objective.with_data(batch.take([0]))  # of one shape, whatever the number of tests
+    form = posterior.objective.with_data(batch.take([0]))  # of one shape, whatever the number of tests
     chunks = [batch.take(range(first, first + CHUNK)) for first in range(0, count, CHUNK)]
-    rows = [_travel_and_slopes(form, chunk, jnp.asarray(known.position)) for chunk in chunks]
+    rows = [_travel_and_slopes(form, chunk, jnp.asarray(posterior.position)) for chunk in chunks]
     travel, slopes = (
         np.concatenate([np.asarray(part) for part in parts]) for parts in zip(*rows, strict=True)
     )
@@ -234,10 +234,10 @@ def within(travel: Float[np.ndarray, " n"], available: float) -> int:
     return int(beyond[0]) if beyond.size else len(travel)
 
 
-def information(known: Knowledge, slopes: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "d d"]:
+def information(posterior: Posterior, slopes: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "d d"]:
     """Return what one more test adds to the precision: JᵀJ/s², on the clock of the fit."""
-    share = known.tests.step_s / known.objective.batch.step_s
-    return share * slopes.T @ slopes / known.noise
+    share = posterior.tests.step_s / posterior.objective.batch.step_s
+    return share * slopes.T @ slopes / posterior.noise
 
 
 class Duties:
@@ -248,10 +248,10 @@ class Duties:
     """
 
     def __init__(
-        self, known: Knowledge, start: float, available: float, highest: float, duration_s: float
+        self, posterior: Posterior, start: float, available: float, highest: float, duration_s: float
     ) -> None:
-        commands, _ = draw_tests(known, DRAWS, duration_s, highest, DUTY_SEED)
-        travel, slopes = free_run_slopes(known, commands, start)
+        commands, _ = draw_tests(posterior, DRAWS, duration_s, highest, DUTY_SEED)
+        travel, slopes = free_run_slopes(posterior, commands, start)
         ends = np.array([within(row, available) for row in travel])
         longest = np.argsort(-ends, kind="stable")[:DUTIES]
         rows = np.concatenate([slopes[number, : ends[number]] for number in longest])
@@ -264,7 +264,7 @@ class Duties:
 
 @double_precision
 def best_test(
-    known: Knowledge,
+    posterior: Posterior,
     duties: Duties,
     *,
     start: float,
@@ -277,7 +277,7 @@ def best_test(
     """Return the test with the largest expected gain for a second of bench time; None where none fits.
 
     Args:
-        known: of its direction.
+        posterior: of its direction.
         duties: free runs that a user may ask for.
         start: displacement at which it begins.
         available: travel ahead, in the displacement's unit.
@@ -286,16 +286,16 @@ def best_test(
         overhead_s: time of the move to its start and of the rest there, s.
         seed: of the candidates.
     """
-    commands, clocks = draw_tests(known, CANDIDATES, longest_s, highest, seed)
-    travel, slopes = free_run_slopes(known, commands, start)
-    before, log_before = duties.variance(known.precision), np.linalg.slogdet(known.precision)[1]
+    commands, clocks = draw_tests(posterior, CANDIDATES, longest_s, highest, seed)
+    travel, slopes = free_run_slopes(posterior, commands, start)
+    before, log_before = duties.variance(posterior.precision), np.linalg.slogdet(posterior.precision)[1]
     best: Choice | None = None
     for command, clock_s, row, jacobian in zip(commands, clocks, travel, slopes, strict=True):
         samples = within(row, available)
-        duration_s = samples * known.tests.step_s
+        duration_s = samples * posterior.tests.step_s
         if duration_s < LEAST_S or not np.any(command[:samples] > 0):
             continue
-        precision = known.precision + information(known, jacobian[:samples])
+        precision = posterior.precision + information(posterior, jacobian[:samples])
         after = duties.variance(precision)
         determinant = np.linalg.slogdet(precision)[1] - log_before
         gain = np.log(before / after) + PARAMETER_WEIGHT * determinant / len(precision)

@@ -112,8 +112,8 @@ def adaptive(
         InputError: the machine drifts at rest, or nothing moves.
     """
     clock = _Clock(60 * float((progress or {}).get("minutes", 0.0)))
-    known = (progress or {}).get("start")
-    program = _campaign(displacement, machine, planner, Start.of(known) if known else None, clock, taken)
+    shown = (progress or {}).get("start")
+    program = _campaign(displacement, machine, planner, Start.of(shown) if shown else None, clock, taken)
     measured = None
     while True:
         try:

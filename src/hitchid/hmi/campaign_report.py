@@ -9,7 +9,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from hitchid.bench.excitation import binary_command, precompensated
-from hitchid.control.sequential_design import PRIOR, Duties, Knowledge, free_run_slopes, information, within
+from hitchid.control.sequential_design import PRIOR, Duties, Posterior, free_run_slopes, information, within
 from hitchid.hmi import project
 from hitchid.hmi.plans import Limits
 from hitchid.hmi.programs import MOVE_STROKES_PER_S, SETTLE_S, START, TEST_TRAVEL
@@ -41,7 +41,7 @@ Curve = tuple[np.ndarray, np.ndarray]
 
 
 def expected_curve(
-    known: Knowledge,
+    posterior: Posterior,
     duties: Duties,
     tests: Sequence[Float[np.ndarray, " n"]],
     start: float,
@@ -53,34 +53,34 @@ def expected_curve(
     """Return bench minutes and the expected error of free runs after each of a programme's tests.
 
     Args:
-        known, duties: of the direction.
+        posterior, duties: of the direction.
         tests: commands as logged.
         start, ahead: where each begins, and the travel ahead of it.
         begin_s, between_s: time before the first test, and between two, s.
         directions: that share the time, in turn.
     """  # fmt: skip
-    precision, clock_s = np.eye(len(known.position)) / PRIOR**2, begin_s
+    precision, clock_s = np.eye(len(posterior.position)) / PRIOR**2, begin_s
     minutes, errors = [], []
-    travel, slopes = free_run_slopes(known, np.stack(tests), start)
+    travel, slopes = free_run_slopes(posterior, np.stack(tests), start)
     for row, jacobian in zip(travel, slopes, strict=True):
         samples = within(row, ahead)
-        clock_s += directions * (samples * known.tests.step_s + between_s)
-        precision = precision + information(known, jacobian[:samples])
+        clock_s += directions * (samples * posterior.tests.step_s + between_s)
+        precision = precision + information(posterior, jacobian[:samples])
         minutes.append(clock_s / 60)
         errors.append(duties.variance(precision) ** 0.5)
     return np.array(minutes), np.array(errors)
 
 
 def _programmes(
-    known: Knowledge, duties: Duties, start: float, limits: Limits, highest: float, directions: int
+    posterior: Posterior, duties: Duties, start: float, limits: Limits, highest: float, directions: int
 ) -> dict[str, Curve]:
     """Return what the fixed programme and random tests would have known, over bench minutes."""
-    step_s, zone, rng = known.tests.step_s, known.dead_zone, np.random.default_rng(0)
+    step_s, zone, rng = posterior.tests.step_s, posterior.dead_zone, np.random.default_rng(0)
     ahead = (1 - 2 * START) * limits.travel
     # The level at which a test that holds it uses its share of the travel: as the fixed programme has it.
     levels = np.linspace(zone, highest, 9)[1:]
     held = np.repeat(levels[:, None], round(FIXED_TEST_S / step_s), axis=1)
-    travelled = free_run_slopes(known, held, start)[0][:, -1]
+    travelled = free_run_slopes(posterior, held, start)[0][:, -1]
     largest = float(np.interp(TEST_TRAVEL * limits.travel, np.maximum.accumulate(travelled), levels)) - zone
     fixed = [
         precompensated(binary_command(largest, 0.0, FIXED_TEST_S, rng, step_s), zone)
@@ -94,8 +94,10 @@ def _programmes(
         drawn.append(np.where(is_high, high, low))
     ramps_s = directions * FIXED_RAMPS * (FIXED_RAMP_S + MOVE_S)
     return {
-        "fixed programme": expected_curve(known, duties, fixed, start, ahead, ramps_s, MOVE_S, directions),
-        "random commands": expected_curve(known, duties, drawn, start, ahead, 0.0, MOVE_S, directions),
+        "fixed programme": expected_curve(
+            posterior, duties, fixed, start, ahead, ramps_s, MOVE_S, directions
+        ),
+        "random commands": expected_curve(posterior, duties, drawn, start, ahead, 0.0, MOVE_S, directions),
     }
 
 
@@ -129,7 +131,7 @@ def write_campaign_report(
     name: str,
     reason: str,
     rounds: Sequence[Mapping[str, Any]],
-    known: Mapping[str, Knowledge],
+    posterior: Mapping[str, Posterior],
     duties: Mapping[str, Duties],
     ends: Mapping[str, float],
     limits: Limits,
@@ -137,14 +139,14 @@ def write_campaign_report(
     """Write the report of a campaign into the project; return where it lies, relative to it."""
     unit, curves, points = limits.displacement_unit, {}, {}
     highest: dict[str, float] = dict(zip(DIRECTIONS, limits.commands, strict=True))
-    for direction, own in known.items():
+    for direction, own in posterior.items():
         entries = [(entry["minutes"], entry["directions"].get(direction, {})) for entry in rounds]
         left_open = [(m, e["open"]) for m, e in entries if e.get("open") is not None]
         validated = [(m, e["validation"]) for m, e in entries if e.get("validation") is not None]
         points[direction] = tuple(np.array(validated, float).reshape(-1, 2).T)
         curves[direction] = {
             "this campaign": tuple(np.array(left_open, float).reshape(-1, 2).T)
-        } | _programmes(own, duties[direction], ends[direction], limits, highest[direction], len(known))
+        } | _programmes(own, duties[direction], ends[direction], limits, highest[direction], len(posterior))
     out = _free(root, name)
     document = Document(
         title="Campaign that chose its own tests",

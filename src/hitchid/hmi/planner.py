@@ -18,7 +18,7 @@ from hitchid.control.sequential_design import (
     CONFIDENCE,
     Choice,
     Duties,
-    Knowledge,
+    Posterior,
     best_test,
     draw_tests,
     free_run_slopes,
@@ -70,7 +70,7 @@ class CampaignPlanner:
         self.waited_s = 0.0  # for what runs beside the tests of a real machine
         self._goal = None if self._plan.goal is None else read_goal(self._plan.goal)
         self._longest_s = self._goal.duration_s if self._goal else TEST_S
-        self._known: dict[str, Knowledge] = {}
+        self._posteriors: dict[str, Posterior] = {}
         self._duties: dict[str, Duties] = {}
         self._rounds: list[dict[str, Any]] = []
         if (self._files.folder / PROGRESS).exists():
@@ -82,10 +82,10 @@ class CampaignPlanner:
     def warm_up(self) -> None:
         """Compile what the first question needs, while the machine is still in its careful start."""
         with contextlib.suppress(HitchError):
-            known = learn(practice_tests(self._longest_s, self._interval_s))
-            duties = Duties(known, 0.0, 1.0, 1.0, self._longest_s)
+            posterior = learn(practice_tests(self._longest_s, self._interval_s))
+            duties = Duties(posterior, 0.0, 1.0, 1.0, self._longest_s)
             best_test(
-                known, duties, start=0.0, available=1.0, highest=1.0, longest_s=self._longest_s,
+                posterior, duties, start=0.0, available=1.0, highest=1.0, longest_s=self._longest_s,
                 overhead_s=1.0, seed=0,
             )  # fmt: skip
 
@@ -144,10 +144,10 @@ class CampaignPlanner:
         if not campaign.identification(direction):
             return ""
         try:
-            last = self._known.get(direction)
+            last = self._posteriors.get(direction)
             data = prepare(campaign, direction, None)
             if last is None or data.names != getattr(last, "names", ()):
-                self._known[direction] = learn(data.all_tests, last=last, seed=self._plan.seed)
+                self._posteriors[direction] = learn(data.all_tests, last=last, seed=self._plan.seed)
                 self._duties.pop(direction, None)
         except HitchError as error:
             return f"{direction}: no model from these tests yet: {error}"
@@ -156,28 +156,30 @@ class CampaignPlanner:
     def _validation(self, campaign: Campaign, direction: str) -> list[float]:
         """Return the root mean square errors in free run of the tests that are never fitted."""
         records = campaign.held_out(direction)
-        known = self._known.get(direction)
-        if known is None or not records or not self._files.count(f"{VALIDATION}{direction}-"):
+        posterior = self._posteriors.get(direction)
+        if posterior is None or not records or not self._files.count(f"{VALIDATION}{direction}-"):
             return []
-        tests = Batch.of(records, direction, dead_zone=known.dead_zone, sign=known.tests.sign)
-        objective = known.objective.with_data(tests).pooled()
-        return [float(value) for value in objective.rmse_by_test(known.position)]
+        tests = Batch.of(records, direction, dead_zone=posterior.dead_zone, sign=posterior.tests.sign)
+        objective = posterior.objective.with_data(tests).pooled()
+        return [float(value) for value in objective.rmse_by_test(posterior.position)]
 
     def _duties_of(self, direction: str, start: Start) -> Duties:
         if direction not in self._duties:
-            known = self._known[direction]
+            posterior = self._posteriors[direction]
             begin, ahead = self._end(direction, start), (1 - 2 * START) * self._limits.travel
-            self._duties[direction] = Duties(known, begin, ahead, self._highest(direction), self._longest_s)
+            self._duties[direction] = Duties(
+                posterior, begin, ahead, self._highest(direction), self._longest_s
+            )
         return self._duties[direction]
 
     def _note_round(self, minutes: float, validation: Mapping[str, Sequence[float]], start: Start) -> None:
         entry: dict[str, Any] = {"minutes": minutes, "tests": len(self._files.logs()), "directions": {}}
-        for direction, known in self._known.items():
+        for direction, posterior in self._posteriors.items():
             ships = self._shipped.get(direction)
             errors = validation.get(direction, ())
             entry["directions"][direction] = {
-                "rmse": known.rmse,
-                "open": self._duties_of(direction, start).variance(known.precision) ** 0.5,
+                "rmse": posterior.rmse,
+                "open": self._duties_of(direction, start).variance(posterior.precision) ** 0.5,
                 "validation": float(np.mean(errors)) if errors else None,
                 "determined": ships and ships[0],
                 "parameters": ships and ships[1],
@@ -186,7 +188,7 @@ class CampaignPlanner:
 
     def _identify_beside(self, campaign: Campaign) -> None:
         """Have the form that ships chosen beside the campaign, every few tests; its verdicts may end it."""
-        tests = sum(len(campaign.identification(direction)) for direction in self._known)
+        tests = sum(len(campaign.identification(direction)) for direction in self._posteriors)
         if self._identification is not None:
             # A virtual bench stands still: without waiting, its campaign would be over before the choice is.
             if self._is_virtual and tests >= self._started_at + 2:
@@ -201,13 +203,13 @@ class CampaignPlanner:
 
         def run() -> None:
             with contextlib.suppress(HitchError):
-                found = hitchid.identify(campaign, training=None, rivals=None, progress=False)
+                identification = hitchid.identify(campaign, training=None, rivals=None, progress=False)
                 self._shipped = {
                     direction: (
                         sum(estimate.determined for estimate in trace.phase1.parameter_estimates),
                         len(trace.phase1.parameter_estimates),
                     )
-                    for direction, trace in found.channels.items()
+                    for direction, trace in identification.channels.items()
                 }
 
         self._identification = threading.Thread(target=run, daemon=True)
@@ -221,7 +223,7 @@ class CampaignPlanner:
             for begin, overhead_s in begins:
                 begins_at = displacement if begin is None else begin
                 ahead = self._ahead(begins_at, direction, start)
-                if direction not in self._known:
+                if direction not in self._posteriors:
                     # From the end that it leads away from: a dead zone may differ along the stroke.
                     if begin is None and begins[1:]:
                         continue
@@ -229,7 +231,7 @@ class CampaignPlanner:
                     continue
                 duties = self._duties_of(direction, start)
                 choice = best_test(
-                    self._known[direction],
+                    self._posteriors[direction],
                     duties,
                     start=begins_at,
                     available=ahead,
@@ -239,7 +241,7 @@ class CampaignPlanner:
                     seed=self._plan.seed + 1000 * len(self._rounds) + DIRECTIONS.index(direction),
                 )
                 if choice is not None:
-                    before = duties.variance(self._known[direction].precision) ** 0.5
+                    before = duties.variance(self._posteriors[direction].precision) ** 0.5
                     choices.append(self._described(direction, begin, begins_at, choice, before))
         return choices
 
@@ -311,15 +313,18 @@ class CampaignPlanner:
         every = VALIDATION_EVERY_GOAL if self._goal else VALIDATION_EVERY
         for direction in start.directions:
             held_out = self._files.count(f"{VALIDATION}{direction}-")
-            if self._files.count(f"{direction}-") < first + every * held_out or direction not in self._known:
+            if (
+                self._files.count(f"{direction}-") < first + every * held_out
+                or direction not in self._posteriors
+            ):
                 continue
             # From the end that it leads away from, as the runs that a model is asked for.
             begin = self._end(direction, start)
             is_here = abs(displacement - begin) < START * self._limits.travel
-            known, ahead = self._known[direction], self._ahead(begin, direction, start)
+            posterior, ahead = self._posteriors[direction], self._ahead(begin, direction, start)
             seed = self._plan.seed + 7919 * (1 + held_out) + DIRECTIONS.index(direction)
-            commands, _ = draw_tests(known, 16, self._longest_s, self._highest(direction), seed)
-            travel, _ = free_run_slopes(known, commands, begin)
+            commands, _ = draw_tests(posterior, 16, self._longest_s, self._highest(direction), seed)
+            travel, _ = free_run_slopes(posterior, commands, begin)
             lengths = [within(row, ahead) for row in travel]
             # The first draw that runs for its whole length, else the longest.
             row = next((n for n, k in enumerate(lengths) if k == commands.shape[1]), int(np.argmax(lengths)))
@@ -398,20 +403,20 @@ class CampaignPlanner:
     def _further_ratio(self, choices: Sequence[Mapping[str, Any]]) -> float:
         """Return the expected ratio of errors after five more minutes to those now, the larger one."""
         ratios = []
-        for direction, known in self._known.items():
+        for direction, posterior in self._posteriors.items():
             own = [choice for choice in choices if choice["direction"] == direction]
             if not own or direction not in self._duties:
                 continue
             best = max(own, key=lambda choice: choice["gain_per_s"])
             # A direction has its share of the time; tests as good as the next one.
-            tests = FURTHER_S / (best["duration_s"] + SETTLE_S) / len(self._known)
+            tests = FURTHER_S / (best["duration_s"] + SETTLE_S) / len(self._posteriors)
             command = np.array(best["command"])[None]
             _, slopes = free_run_slopes(
-                known, command, float(best["begin"] or np.asarray(known.tests.initial)[-1])
+                posterior, command, float(best["begin"] or np.asarray(posterior.tests.initial)[-1])
             )
-            later = known.precision + tests * information(known, slopes[0])
+            later = posterior.precision + tests * information(posterior, slopes[0])
             duties = self._duties[direction]
-            ratios.append((duties.variance(later) / duties.variance(known.precision)) ** 0.5)
+            ratios.append((duties.variance(later) / duties.variance(posterior.precision)) ** 0.5)
         return max(ratios, default=1.0)
 
     def _report(self, stop: str, minutes: float, start: Start) -> str:
@@ -419,10 +424,10 @@ class CampaignPlanner:
         from hitchid.hmi.campaign_report import write_campaign_report
 
         try:
-            duties = {direction: self._duties_of(direction, start) for direction in self._known}
-            ends = {direction: self._end(direction, start) for direction in self._known}
+            duties = {direction: self._duties_of(direction, start) for direction in self._posteriors}
+            ends = {direction: self._end(direction, start) for direction in self._posteriors}
             return write_campaign_report(
-                self._root, self._plan.name, stop, self._rounds, self._known, duties, ends, self._limits
+                self._root, self._plan.name, stop, self._rounds, self._posteriors, duties, ends, self._limits
             )
         except (HitchError, OSError, ValueError, np.linalg.LinAlgError) as error:
             return f"no report could be written: {error}"
