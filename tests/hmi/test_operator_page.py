@@ -11,7 +11,6 @@ from operated import Operator, served
 
 import handmade
 import hitchid
-from browser import chromium
 from fake_bench import LIMITS_FILE
 from hitchid.live import Changes, Event, read_events
 from hitchid.model import save
@@ -22,13 +21,6 @@ HOLD = "time_s,lifting_command,lowering_command\n0,0.4,0\n30,0.4,0\n"
 SIZES = ((390, 844), (1280, 800), (1920, 1080))
 LONGEST_S = 100  # s for the start of the adaptation on a machine with other tests beside it
 SECTIONS = ("bench", "campaign", "identify", "drive", "project")
-
-
-@pytest.fixture(scope="module")
-def browser():
-    """Return Chromium, or skip what needs it."""
-    with chromium() as driven:
-        yield driven
 
 
 @pytest.fixture(scope="module")

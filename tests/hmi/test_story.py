@@ -6,8 +6,6 @@ import time
 import pytest
 from operated import Operator, served
 
-from browser import chromium
-
 pytestmark = pytest.mark.long
 
 LONGEST_S = 900  # s that one command may take on a machine with other tests beside it
@@ -38,9 +36,9 @@ def project(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def operator(project):
+def operator(browser, project):
     """Return an operator before a fresh page; at the end nothing was asked of any other machine."""
-    with chromium() as browser, served(project, "--silence-ms", "5000") as (link, _):
+    with served(project, "--silence-ms", "5000") as (link, _):
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         operator = Operator(page, link)
         operator.wait_for_state("no source")
@@ -120,9 +118,9 @@ def test_from_the_bench_to_a_driven_hitch(operator, project):
     assert events == ["claim", "connect", "arm", "start", "arm", "start", "stop", "stopped", "reset"]
 
 
-def test_campaign_chooses_its_own_tests_is_stopped_and_goes_on(tmp_path):
+def test_campaign_chooses_its_own_tests_is_stopped_and_goes_on(browser, tmp_path):
     campaign = tmp_path / "campaigns" / "chosen"
-    with chromium() as browser, served(tmp_path, "--silence-ms", "5000") as (link, _):
+    with served(tmp_path, "--silence-ms", "5000") as (link, _):
         operator = Operator(browser.new_page(viewport={"width": 1280, "height": 800}), link)
         operator.wait_for_state("no source")
         operator.connect(speed=20)
