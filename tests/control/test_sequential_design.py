@@ -30,7 +30,7 @@ TRAVEL, HIGHEST = 250.0, 0.9  # mm, A
 def measured(count, seed):
     """Return tests of an integrator with a lag behind a dead zone, with noise of the sensor."""
     rng = np.random.default_rng(seed)
-    commands = np.stack([staircase(0.25, HIGHEST, 8.0, STEP_S, rng)[0] for _ in range(count)])
+    commands = np.stack([staircase(0.25, HIGHEST, 8.0, STEP_S, rng) for _ in range(count)])
     effective = np.maximum(commands - ZONE, 0.0)
     speed, keep = np.zeros(count), np.exp(-STEP_S / LAG_S)
     travel = np.zeros_like(commands)
@@ -71,7 +71,7 @@ def test_fit_reaches_the_noise_of_the_sensor(posterior):
 @pytest.mark.parametrize("seed", range(5))
 def test_no_test_leaves_more_open(posterior, seed):
     duties = duties_of(posterior)
-    commands, _ = draw_tests(posterior, 4, 4.0, HIGHEST, seed)
+    commands = draw_tests(posterior, 4, 4.0, HIGHEST, seed)
     _, slopes = free_run_slopes(posterior, commands, 0.0)
     before = duties.variance(posterior.precision)
     # Up to rounding of the solution, whose matrix has a condition of 1e9.
@@ -91,7 +91,7 @@ def test_nothing_is_known_before_the_first_test_but_the_prior(posterior):
 
 
 def test_slopes_are_the_derivatives_of_the_free_run(posterior):
-    commands, _ = draw_tests(posterior, 3, 4.0, HIGHEST, 5)
+    commands = draw_tests(posterior, 3, 4.0, HIGHEST, 5)
     travel, slopes = free_run_slopes(posterior, commands, 0.0)
     direction = np.ones(len(posterior.position)) / len(posterior.position)
     step = 1e-6
@@ -103,9 +103,9 @@ def test_slopes_are_the_derivatives_of_the_free_run(posterior):
 
 
 def test_chosen_test_beats_the_middle_of_the_candidates(posterior):
-    duties, options = duties_of(posterior), {"start": 0.0, "available": TRAVEL, "highest": HIGHEST}
+    duties, options = duties_of(posterior), {"start": 0.0, "available": TRAVEL}
     chosen = best_test(posterior, duties, **options, longest_s=8.0, overhead_s=1.0, seed=3)
-    commands, _ = draw_tests(posterior, CANDIDATES, 8.0, HIGHEST, 3)
+    commands = draw_tests(posterior, CANDIDATES, 8.0, duties.highest, 3)
     travel, slopes = free_run_slopes(posterior, commands, 0.0)
     after = [
         duties.variance(posterior.precision + information(posterior, jacobian[: within(row, TRAVEL)]))
@@ -121,25 +121,24 @@ def test_chosen_test_stays_within_travel_and_command(posterior):
         duties_of(posterior),
         start=0.0,
         available=100.0,
-        highest=0.7,
         longest_s=8.0,
         overhead_s=1.0,
         seed=1,
     )
-    assert chosen.commands.max() <= 0.7
+    assert chosen.commands.max() <= HIGHEST
     assert chosen.commands.min() >= 0.0
     assert chosen.travel <= 100.0
 
 
 def test_no_test_fits_where_there_is_no_way(posterior):
-    options = {"start": 0.0, "available": 0.0, "highest": HIGHEST, "longest_s": 8.0, "overhead_s": 1.0}
+    options = {"start": 0.0, "available": 0.0, "longest_s": 8.0, "overhead_s": 1.0}
     # Not even for the shortest test: the piston moves within its first second.
     moving = [best_test(posterior, duties_of(posterior), **options, seed=seed) for seed in range(3)]
     assert all(choice is None or choice.travel <= 1e-9 for choice in moving)
 
 
 def test_levels_come_once_each_from_below_the_dead_zone_to_the_highest():
-    rows = [staircase(lowest_level(0.4), 1.0, 10.0, 0.01, np.random.default_rng(n))[0] for n in range(20)]
+    rows = [staircase(lowest_level(0.4), 1.0, 10.0, 0.01, np.random.default_rng(n)) for n in range(20)]
     levels = np.unique(np.concatenate(rows))
     driven = levels[levels > 0]
     assert driven.min() >= lowest_level(0.4)

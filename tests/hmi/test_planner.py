@@ -9,6 +9,7 @@ from fake_bench import LIMITS, STEP_S
 from hitchid.control.sequential_design import upper_bound
 from hitchid.hmi.adaptive import Start
 from hitchid.hmi.planner import MOST_RAMPS, CampaignPlanner
+from hitchid.hmi.planner import START as FROM_END
 
 START = Start((1, -1), (0.35, 0.25), (100.0, 80.0), 0.05, 0.0)
 HEADER = "time_s,lifting_command_A,lowering_command_A,displacement_mm\n"
@@ -51,7 +52,7 @@ def moved(samples):
 def test_first_come_ramps_from_the_end_that_a_direction_leads_away_from(planner):
     test = asked(planner, displacement=100.0)
     assert test["log"] == "ramp-lifting-01"
-    assert test["begin"] == pytest.approx(10.0)
+    assert test["begin"] == pytest.approx(FROM_END * LIMITS.travel)
     assert max(test["command"]) == LIMITS.lifting_command
 
 

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from scipy.stats import t as student_t
 
 from hitchid._support.precision import double_precision
-from hitchid.bench.excitation import prbs
+from hitchid.bench.excitation import binary_command
 from hitchid.control.next_test import free_run_batch
 from hitchid.estimation import Objective, best_refined, refine
 from hitchid.structures import Batch, ModelSpec, structure_named
@@ -39,20 +39,12 @@ STARTS, STEPS, TOLERANCE = 6, 40, 1e-6
 SEARCH_STEPS = 25  # of each start before the best is refined; chosen
 CANDIDATES = 40  # tests judged for each direction; chosen: a second's work
 CHUNK = 8  # free runs at once, so that any number of them uses one compiled program
-# Free runs that a user may ask for, of so many drawn ones, and their seed: always the same ones; chosen.
-DUTIES, DRAWS, DUTY_SEED = 16, 40, 1
-CLOCK_S = (
-    0.15,
-    1.2,
-)  # s, shortest and longest mean hold of a level: lag of a valve to steady speed; chosen
-# Highest level of a test, share of the largest command: even in its logarithm, for a slow valve as for a
-# fast one; chosen.
-HIGH = (0.1, 1.0)
+DUTIES, DUTY_SEED = 16, 1  # free runs that a user may ask for, always the same ones; chosen
+CLOCK_S = (0.15, 1.2)  # s, mean hold of a level of many: from the lag of a valve to steady speed; chosen
+DUTY_TRAVEL = 0.75  # of the way from end to end, that a test at its highest level would use; chosen
 HYSTERESIS = 0.15  # of the dead zone, below it, in which a valve may still be open; chosen
 REST_S = 0.05  # s, closed at the begin of a test, as in the paper's
-BINARY_CLOCK_S = (0.15, 0.4)  # s, shortest hold of a level of two: as in the paper's tests
 CLOSED_SHARE = 0.1  # of the holds have a closed valve, from which motion starts again; chosen
-BINARY_SHARE = 0.25  # of the candidates have two levels, as in the paper's tests; chosen
 END_SHARE = 0.9  # of the travel ahead that a test may use as predicted; chosen
 LEAST_S = 2.0  # s, shortest test; chosen
 CONFIDENCE = 0.9  # one-sided, that the mean error of tests meets a goal; chosen
@@ -93,7 +85,6 @@ class Choice:
         commands: of its direction as logged, shape [N].
         gain_per_s: expected reduction of the logarithm of the error, for a second of bench time.
         levels: lowest and highest command, as logged.
-        clock_s: mean hold of a level, s.
         travel: as predicted, in the displacement's unit.
         variance: expected mean variance of free runs after it, in the displacement's unit squared.
     """
@@ -101,7 +92,6 @@ class Choice:
     commands: Float[np.ndarray, " n"]
     gain_per_s: float
     levels: tuple[float, float]
-    clock_s: float
     travel: float
     variance: float
 
@@ -136,8 +126,8 @@ def learn(
 
 def staircase(
     lowest: float, highest: float, duration_s: float, step_s: float, rng: np.random.Generator
-) -> tuple[Float[np.ndarray, " n"], float]:
-    """Return the command of a test of many levels, shape [N], and the mean hold of a level, s.
+) -> Float[np.ndarray, " n"]:
+    """Return the command of a test of many levels, shape [N]: the first one, when nothing is known.
 
     Each level from the lowest to the highest comes once, in random order: a valve's curve, its hysteresis on
     the way up and down, and the dynamics are then in one test of ten seconds.
@@ -149,7 +139,7 @@ def staircase(
     levels[rng.random(holds) < CLOSED_SHARE] = 0.0
     ends = np.cumsum(np.maximum(1, np.round(clock_s * rng.uniform(0.5, 1.5, holds) / step_s))).astype(int)
     held = levels[np.minimum(np.searchsorted(ends, np.arange(count), side="right"), holds - 1)]
-    return np.concatenate([np.zeros(rest), held])[:count], clock_s
+    return np.concatenate([np.zeros(rest), held])[:count]
 
 
 def lowest_level(dead_zone: float) -> float:
@@ -160,7 +150,7 @@ def lowest_level(dead_zone: float) -> float:
 def practice_tests(duration_s: float, step_s: float) -> Batch:
     """Return tests of an integrator with unit travel, by which programs are compiled before there are any."""
     rng = np.random.default_rng(0)
-    commands = np.stack([staircase(0.2, 1.0, duration_s, step_s, rng)[0] for _ in range(4)])
+    commands = np.stack([staircase(0.2, 1.0, duration_s, step_s, rng) for _ in range(4)])
     batch = free_run_batch(commands, dead_zone=0.2, start=0.0, sign=1, step_s=step_s)
     travel = np.cumsum(np.asarray(batch.command), axis=1) / commands.shape[1]
     return eqx.tree_at(lambda batch: batch.displacement, batch, jnp.asarray(travel))
@@ -168,31 +158,10 @@ def practice_tests(duration_s: float, step_s: float) -> Batch:
 
 def draw_tests(
     posterior: Posterior, count: int, longest_s: float, highest: float, seed: int
-) -> tuple[Float[np.ndarray, "t n"], list[float]]:
-    """Return commands of tests up to a highest one, as logged, shape [T, N], and their mean holds, s."""
+) -> Float[np.ndarray, "t n"]:
+    """Return commands of tests of two levels up to a highest one, as logged, shape [T, N]: as the paper's."""
     rng, step_s, zone = np.random.default_rng(seed), posterior.tests.step_s, posterior.dead_zone
-    rows, clocks = [], []
-    for number in range(count):
-        top = zone + (highest - zone) * np.exp(rng.uniform(*np.log(HIGH)))
-        lowest = lowest_level(zone)
-        if number < BINARY_SHARE * count:
-            low, clock_s = rng.uniform(lowest, 0.5 * (lowest + top)), rng.uniform(*BINARY_CLOCK_S)
-            effective = prbs(
-                low=low,
-                high=top,
-                clock_s=clock_s,
-                duration_s=longest_s,
-                seed=int(rng.integers(2**31)),
-                step_s=step_s,
-            )
-            rows.append(effective)
-            clocks.append(0.0)
-        else:
-            row, clock_s = staircase(lowest, top, longest_s, step_s, rng)
-            rows.append(row)
-            clocks.append(clock_s)
-    samples = min(map(len, rows))
-    return np.stack([row[:samples] for row in rows]), clocks
+    return np.stack([binary_command(highest - zone, zone, longest_s, rng, step_s) for _ in range(count)])
 
 
 @double_precision
@@ -241,21 +210,28 @@ def information(posterior: Posterior, slopes: Float[np.ndarray, "n d"]) -> Float
 
 
 class Duties:
-    """Free runs that a user may ask for, by their derivatives.
-
-    They are drawn tests that last for their whole length within the travel, as those that a model is
-    validated by; where hardly any does, those that last longest.
-    """
+    """Free runs that a user may ask for, by their derivatives: tests as the paper's, from end to end."""
 
     def __init__(
         self, posterior: Posterior, start: float, available: float, highest: float, duration_s: float
     ) -> None:
-        commands, _ = draw_tests(posterior, DRAWS, duration_s, highest, DUTY_SEED)
+        zone = posterior.dead_zone
+        self._levels = zone + (highest - zone) * np.arange(1, CHUNK + 1) / CHUNK
+        constant = np.repeat(self._levels[:, None], round(duration_s / posterior.tests.step_s), axis=1)
+        self._speeds = (
+            np.maximum.accumulate(free_run_slopes(posterior, constant, start)[0][:, -1]) / duration_s
+        )
+        self.highest = self.command_for(DUTY_TRAVEL * available / duration_s)
+        commands = draw_tests(posterior, DUTIES, duration_s, self.highest, DUTY_SEED)
         travel, slopes = free_run_slopes(posterior, commands, start)
-        ends = np.array([within(row, available) for row in travel])
-        longest = np.argsort(-ends, kind="stable")[:DUTIES]
-        rows = np.concatenate([slopes[number, : ends[number]] for number in longest])
+        rows = np.concatenate(
+            [own[: within(row, available)] for row, own in zip(travel, slopes, strict=True)]
+        )
         self._moment = rows.T @ rows / len(rows)
+
+    def command_for(self, speed: float) -> float:
+        """Return the command, as logged, of a speed in the displacement's unit a second."""
+        return float(np.interp(speed, self._speeds, self._levels))
 
     def variance(self, precision: Float[np.ndarray, "d d"]) -> float:
         """Return the expected mean variance of these free runs, in the displacement's unit squared."""
@@ -269,7 +245,6 @@ def best_test(
     *,
     start: float,
     available: float,
-    highest: float,
     longest_s: float,
     overhead_s: float,
     seed: int,
@@ -281,16 +256,15 @@ def best_test(
         duties: free runs that a user may ask for.
         start: displacement at which it begins.
         available: travel ahead, in the displacement's unit.
-        highest: largest command as logged.
         longest_s: longest test, s.
         overhead_s: time of the move to its start and of the rest there, s.
         seed: of the candidates.
     """
-    commands, clocks = draw_tests(posterior, CANDIDATES, longest_s, highest, seed)
+    commands = draw_tests(posterior, CANDIDATES, longest_s, duties.highest, seed)
     travel, slopes = free_run_slopes(posterior, commands, start)
     before, log_before = duties.variance(posterior.precision), np.linalg.slogdet(posterior.precision)[1]
     best: Choice | None = None
-    for command, clock_s, row, jacobian in zip(commands, clocks, travel, slopes, strict=True):
+    for command, row, jacobian in zip(commands, travel, slopes, strict=True):
         samples = within(row, available)
         duration_s = samples * posterior.tests.step_s
         if duration_s < LEAST_S or not np.any(command[:samples] > 0):
@@ -306,7 +280,6 @@ def best_test(
                 commands=command[:samples],
                 gain_per_s=gain_per_s,
                 levels=(float(moving.min()), float(moving.max())),
-                clock_s=clock_s,
                 travel=float(row[samples - 1]),
                 variance=after,
             )

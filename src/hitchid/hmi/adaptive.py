@@ -32,6 +32,7 @@ NOISES = 6.0  # standard deviations of the sensor that count as motion; chosen
 LEAST_MOTION = 0.004  # of the travel, that counts as motion; chosen
 RAMP_S = 15.0  # s, in which the command of the careful start rises to its limit; chosen
 RAMP_TRAVEL = 0.03  # of the travel, at which it has shown that something moves, and ends; chosen
+SHORT_WAY = 0.2  # of the travel, up to which a move begins with the valve hardly open; chosen
 GUARD_S = 0.3  # s that a test may coast on; chosen: twice that of the bench, whose oil springs are soft
 RAMP_TAIL_S = 0.5  # s at the end of a ramp, over which its speed is taken; chosen
 SAMPLES_OF_SPEED = 3  # fewest samples of a speed; chosen
@@ -160,13 +161,14 @@ def _campaign(
         if test["begin"] is None:
             displacement = yield from settle(displacement, machine.step_s)
         else:
+            is_long = abs(float(test["begin"]) - displacement) > SHORT_WAY * machine.limits.travel
             moved = move(
                 displacement,
                 float(test["begin"]),
                 machine.limits,
                 machine.step_s,
                 signs=signs,  # type: ignore[arg-type]
-                onsets=start.onsets,
+                onsets=test.get("onsets", start.onsets) if is_long else start.onsets,
                 window_s=window_s,
                 log=str(test["move"]),
             )

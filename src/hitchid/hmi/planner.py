@@ -34,7 +34,7 @@ from hitchid.errors import HitchError, InputError, SettingsError
 from hitchid.hmi.adaptive import Start
 from hitchid.hmi.campaign_files import MOVES, PROGRESS, VALIDATION, CampaignFiles, read_progress
 from hitchid.hmi.plans import AdaptivePlan, Limits, read_goal
-from hitchid.hmi.programs import MOVE_STROKES_PER_S, RAMP_TRAVEL, SETTLE_S, START
+from hitchid.hmi.programs import MOVE_STROKES_PER_S, RAMP_TRAVEL, SETTLE_S
 from hitchid.identification import prepare
 from hitchid.logs import DIRECTIONS, Campaign, from_rest, read
 from hitchid.structures import Batch
@@ -43,7 +43,10 @@ TEST_S = 10.0  # s, longest test where no goal says otherwise: the paper's; chos
 RAMP_S = 20.0  # s, in which the command of a ramp rises to its limit: as in the fixed programme; chosen
 MOST_RAMPS = 3  # of a direction, until one has shown its dead zone; chosen
 FIRST_TRAVEL = 0.6  # of the travel ahead, that the first test of a direction may use by its ramp; chosen
+START = 0.02  # of the travel, distance of the begin of a test from an end; chosen
+MOST_AHEAD = 2  # tests that a direction may have more than the other: a form is chosen by tests of each
 LEAST_AHEAD = 0.25  # of the travel, below which a test does not begin where the last one ended; chosen
+SPEED_AT_ONCE = 0.9  # of the speed of a move, at which one begins where a model says how; chosen
 RISE_OF_MOVE_S = 1.5  # s, that a move takes beside its way; chosen
 # Tests of a direction before the first one that is never fitted, and between two; with a goal, by which it is
 # judged, more often. Chosen: a sixth to a tenth of the time.
@@ -85,7 +88,7 @@ class CampaignPlanner:
             posterior = learn(practice_tests(self._longest_s, self._interval_s))
             duties = Duties(posterior, 0.0, 1.0, 1.0, self._longest_s)
             best_test(
-                posterior, duties, start=0.0, available=1.0, highest=1.0, longest_s=self._longest_s,
+                posterior, duties, start=0.0, available=1.0, longest_s=self._longest_s,
                 overhead_s=1.0, seed=0,
             )  # fmt: skip
 
@@ -111,7 +114,7 @@ class CampaignPlanner:
         self._files.save(minutes, start, self._rounds)
         choices = self._choices(displacement, start, campaign)
         stop = self._stop(minutes, validation, choices, start)
-        answer: dict[str, Any] = {"stop": stop, "result": {}, "why": stop}
+        answer: dict[str, Any] = {"stop": stop, "result": {}, "why": stop, "onsets": self._onsets(start)}
         if stop:
             answer["result"] = {
                 "reason": stop,
@@ -216,40 +219,39 @@ class CampaignPlanner:
         self._identification.start()
 
     def _choices(self, displacement: float, start: Start, campaign: Campaign | None) -> list[dict[str, Any]]:
-        """Return the best test of each direction, from here and from the end that it leads away from."""
+        """Return the best test of each direction that is not too far ahead of the other."""
         choices: list[dict[str, Any]] = []
+        counts = {direction: self._files.count(f"{direction}-") for direction in start.directions}
         for direction in start.directions:
-            begins = self._begins(displacement, direction, start)
-            for begin, overhead_s in begins:
-                begins_at = displacement if begin is None else begin
-                ahead = self._ahead(begins_at, direction, start)
-                if direction not in self._posteriors:
-                    # From the end that it leads away from: a dead zone may differ along the stroke.
-                    if begin is None and begins[1:]:
-                        continue
-                    choices.append(self._first_test(direction, begin, ahead, start, campaign))
-                    continue
-                duties = self._duties_of(direction, start)
-                choice = best_test(
-                    self._posteriors[direction],
-                    duties,
-                    start=begins_at,
-                    available=ahead,
-                    highest=self._highest(direction),
-                    longest_s=self._longest_s,
-                    overhead_s=overhead_s,
-                    seed=self._plan.seed + 1000 * len(self._rounds) + DIRECTIONS.index(direction),
-                )
-                if choice is not None:
-                    before = duties.variance(self._posteriors[direction].precision) ** 0.5
-                    choices.append(self._described(direction, begin, begins_at, choice, before))
+            if counts[direction] >= min(counts.values()) + MOST_AHEAD:
+                continue
+            possible = self._begin(displacement, direction, start)
+            if possible is None:
+                continue
+            begin, begins_at, overhead_s = possible
+            ahead = self._ahead(begins_at, direction, start)
+            if direction not in self._posteriors:
+                choices.append(self._first_test(direction, begin, ahead, start, campaign))
+                continue
+            duties = self._duties_of(direction, start)
+            choice = best_test(
+                self._posteriors[direction],
+                duties,
+                start=begins_at,
+                available=ahead,
+                longest_s=self._longest_s,
+                overhead_s=overhead_s,
+                seed=self._plan.seed + 1000 * len(self._rounds) + DIRECTIONS.index(direction),
+            )
+            if choice is not None:
+                before = duties.variance(self._posteriors[direction].precision) ** 0.5
+                choices.append(self._described(direction, begin, begins_at, choice, before))
         return choices
 
     def _described(
         self, direction: str, begin: float | None, begins_at: float, choice: Choice, before: float
     ) -> dict[str, Any]:
         unit, command_unit = self._limits.displacement_unit, self._limits.command_unit
-        shape = f"levels held {choice.clock_s:.2g} s" if choice.clock_s else "two levels"
         low, high = choice.levels
         duration_s = len(choice.commands) * self._interval_s
         return {
@@ -260,7 +262,7 @@ class CampaignPlanner:
             "log": self._files.fresh(direction),
             "gain_per_s": choice.gain_per_s,
             "duration_s": duration_s,
-            "why": f"{direction} from {begins_at:.4g} {unit}, {duration_s:.3g} s, {shape}, {low:.2g} to "
+            "why": f"{direction} from {begins_at:.4g} {unit}, {duration_s:.3g} s, {low:.2g} to "
             f"{high:.2g} {command_unit}: what its parameters leave open in free run is "
             f"expected to fall from {before:.2g} to {choice.variance**0.5:.2g} {unit}",
         }
@@ -299,7 +301,7 @@ class CampaignPlanner:
             self._highest(direction) - onset, 2 * FIRST_TRAVEL * ahead / (self._longest_s * max(speed, 1e-9))
         )
         rng = np.random.default_rng([self._plan.seed, channel])
-        command, _ = staircase(lowest_level(onset), onset + highest, self._longest_s, self._interval_s, rng)
+        command = staircase(lowest_level(onset), onset + highest, self._longest_s, self._interval_s, rng)
         return common | {
             "command": command.tolist(),
             "log": self._files.fresh(direction),
@@ -316,22 +318,23 @@ class CampaignPlanner:
             if (
                 self._files.count(f"{direction}-") < first + every * held_out
                 or direction not in self._posteriors
+                or (possible := self._begin(displacement, direction, start)) is None
             ):
                 continue
-            # From the end that it leads away from, as the runs that a model is asked for.
-            begin = self._end(direction, start)
-            is_here = abs(displacement - begin) < START * self._limits.travel
-            posterior, ahead = self._posteriors[direction], self._ahead(begin, direction, start)
+            begin, begins_at, _ = possible
+            posterior, ahead = self._posteriors[direction], self._ahead(begins_at, direction, start)
             seed = self._plan.seed + 7919 * (1 + held_out) + DIRECTIONS.index(direction)
-            commands, _ = draw_tests(posterior, 16, self._longest_s, self._highest(direction), seed)
-            travel, _ = free_run_slopes(posterior, commands, begin)
+            commands = draw_tests(
+                posterior, 8, self._longest_s, self._duties_of(direction, start).highest, seed
+            )
+            travel, _ = free_run_slopes(posterior, commands, begins_at)
             lengths = [within(row, ahead) for row in travel]
             # The first draw that runs for its whole length, else the longest.
             row = next((n for n, k in enumerate(lengths) if k == commands.shape[1]), int(np.argmax(lengths)))
             command = commands[row, : lengths[row]]
             return {
                 "direction": direction,
-                "begin": None if is_here or begin not in self._reachable(direction, start) else begin,
+                "begin": begin,
                 "move": self._files.fresh(MOVES),
                 "command": command.tolist(),
                 "log": self._files.fresh(f"{VALIDATION}{direction}"),
@@ -341,21 +344,30 @@ class CampaignPlanner:
             }
         return None
 
-    def _begins(self, displacement: float, direction: str, start: Start) -> list[tuple[float | None, float]]:
-        """Return where a test may begin, None for here, with the time that it takes until then, s."""
-        travel = self._limits.travel
-        begins: list[tuple[float | None, float]] = []
-        if self._ahead(displacement, direction, start) > LEAST_AHEAD * travel:
-            begins.append((None, SETTLE_S))
-        for end in self._reachable(direction, start):
-            if abs(end - displacement) > START * travel:
-                way_s = abs(end - displacement) / (MOVE_STROKES_PER_S * travel)
-                begins.append((end, way_s + RISE_OF_MOVE_S + SETTLE_S))
-        return begins
+    def _begin(
+        self, displacement: float, direction: str, start: Start
+    ) -> tuple[float | None, float, float] | None:
+        """Return where a test may begin, None for here, its displacement and the time until then, s.
 
-    def _reachable(self, direction: str, start: Start) -> list[float]:
-        """Return the end that a direction leads away from, where the other one moves back to it."""
-        return [self._end(direction, start)] if len(start.directions) == len(DIRECTIONS) else []
+        At the end that it leads away from, as the runs that a model is asked for; where nothing moves back to
+        it, here, while there is travel left.
+        """
+        travel, end = self._limits.travel, self._end(direction, start)
+        if len(start.directions) < len(DIRECTIONS):
+            is_enough = self._ahead(displacement, direction, start) > LEAST_AHEAD * travel
+            return (None, displacement, SETTLE_S) if is_enough else None
+        if abs(end - displacement) <= START * travel:
+            return None, displacement, SETTLE_S
+        way_s = abs(end - displacement) / (MOVE_STROKES_PER_S * travel)
+        return end, end, way_s + RISE_OF_MOVE_S + SETTLE_S
+
+    def _onsets(self, start: Start) -> list[float]:
+        """Return the commands at which moves may begin, lifting and lowering: from a model near its speed."""
+        onsets = list(start.onsets)
+        speed = SPEED_AT_ONCE * MOVE_STROKES_PER_S * self._limits.travel
+        for direction, duties in self._duties.items():
+            onsets[DIRECTIONS.index(direction)] = duties.command_for(speed)
+        return onsets
 
     def _end(self, direction: str, start: Start) -> float:
         low, high = self._limits.displacement

@@ -225,7 +225,9 @@ class Candidate:
         free_run = self.held_out[tests], other.held_out[tests]
         per_test_gain = self.held_out_per_test_gain[tests], other.held_out_per_test_gain[tests]
         counts = (bool(np.any(tests)), int(np.count_nonzero(tests)) >= MIN_GAIN_TESTS)
-        is_proved_in = proved_by_all_tests(other, self, WORSE_LEVEL / comparisons)
+        proved = proved_by_all_tests(other, self, WORSE_LEVEL / comparisons)
+        # With a gain of its own for each test the smaller form has every chance: what is proved then, is.
+        is_proved_in = (bool(np.any(proved)), bool(proved[1]))
         for figure, beside, is_proved, is_counted in zip(
             (free_run, per_test_gain), (per_test_gain, free_run), is_proved_in, counts, strict=True
         ):
