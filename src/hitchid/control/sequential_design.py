@@ -217,7 +217,8 @@ class Duties:
     ) -> None:
         zone = posterior.dead_zone
         self._levels = zone + (highest - zone) * np.arange(1, CHUNK + 1) / CHUNK
-        constant = np.repeat(self._levels[:, None], round(duration_s / posterior.tests.step_s), axis=1)
+        samples = round(duration_s / posterior.tests.step_s) + 1  # as the tests below: one compiled program
+        constant = np.repeat(self._levels[:, None], samples, axis=1)
         self._speeds = (
             np.maximum.accumulate(free_run_slopes(posterior, constant, start)[0][:, -1]) / duration_s
         )
