@@ -6,7 +6,6 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 
 import jax
@@ -42,6 +41,7 @@ if EXAMPLES == "full":
     install_import_hook("hitchid", "beartype.beartype")
 
 from benches import write_bench  # noqa: E402
+from browser import chromium  # noqa: E402
 from hitchid.logs.record import Record  # noqa: E402
 
 # From the longest: begun last, they would keep one core waiting for the other.
@@ -49,14 +49,6 @@ LONGEST = ("test_sun2025.py", "test_examples.py", "test_checkpoints.py", "test_s
 # A compiled program is several regions of memory, of which Linux grants a process 65 530 in all; so many
 # come with 3 GiB (measured).
 MAX_MEMORY_MAPS = 10_000
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-BROWSER_ARGUMENTS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--no-first-run",
-]
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
 
@@ -109,21 +101,12 @@ def data():
 
 @pytest.fixture(scope="module")
 def browser():
-    """Return the Chromium that is installed, or skip what needs it.
+    """Return Chromium, or skip what needs it.
 
     One for each file: two at once, or one beside a test with a loop of its own, are refused by playwright.
     """
-    program = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if program is None:
-        pytest.skip(f"none of {', '.join(BROWSERS)} is installed; a browser reads the pages")
-    if find_spec("playwright") is None:
-        pytest.skip("playwright is not installed; it drives the browser")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as driver:
-        driven = driver.chromium.launch(executable_path=program, args=BROWSER_ARGUMENTS)
+    with chromium() as driven:
         yield driven
-        driven.close()
 
 
 @pytest.fixture(scope="session")
