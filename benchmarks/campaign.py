@@ -27,11 +27,13 @@ from hitchid.bench.excitation import two_channel_command
 from hitchid.bench.virtual_campaign import run
 from hitchid.hmi.adaptive import guarded
 from hitchid.hmi.bench_loop import BenchLoop
+from hitchid.hmi.campaign_files import SETTINGS, CampaignFiles
 from hitchid.hmi.headless import campaign
 from hitchid.hmi.plans import limits_of_rig
 from hitchid.hmi.programs import Machine, Step, move
 from hitchid.hmi.safety import State
 from hitchid.hmi.sources.simulated import VirtualBench
+from hitchid.identification.settings_file import read_settings
 from hitchid.logs import DIRECTIONS, write_table
 
 SETS = ("nominal", "heavy-cold", "light-warm-worn")
@@ -161,6 +163,7 @@ def part_of(folder: Path, minutes: float, out: Path) -> Path:
     if not any(log.name.startswith("validation-") for log in chosen):
         text = text.partition("[split]")[0]
     (out / "campaign.toml").write_text(text)
+    CampaignFiles(out).settle_form(DIRECTIONS)
     return out
 
 
@@ -175,10 +178,15 @@ def unseen(rig: Rig, seed: int, folder: Path) -> "hitchid.Campaign":
 
 
 def errors(logs: Path, tests: "hitchid.Campaign", training: bool) -> dict[str, float]:
-    """Return the free-run RMSE of the default model of some logs on unseen tests, by direction, mm."""
-    settings = {} if training else {"training": None}
+    """Return the free-run RMSE of the model of some logs on unseen tests, by direction, mm.
+
+    It is the default one, but for the settings that a campaign of few tests gives.
+    """
+    settings = dict(read_settings(logs / SETTINGS)) if (logs / SETTINGS).exists() else {}
+    if not training:
+        settings["training"] = None
     try:
-        found = hitchid.identify(hitchid.read(logs), progress=False, rivals=None, **settings)
+        found = hitchid.identify(hitchid.read(logs), progress=False, **{**settings, "rivals": None})
     except hitchid.HitchError as error:
         sys.stderr.write(f"   {logs.name}: {error}\n")
         return {}

@@ -70,4 +70,5 @@ def campaign(
     typer.echo(f"{result.reason} ({result.minutes:.1f} min of bench time)")
     typer.echo(result.further)
     typer.echo(f"report: {project / result.report}" if result.report.endswith(".html") else result.report)
-    typer.echo(f"next: hitchid identify {result.folder} --out {project / 'models' / name}")
+    config = f" --config {result.settings}" if result.settings else ""
+    typer.echo(f"next: hitchid identify {result.folder} --out {project / 'models' / name}{config}")

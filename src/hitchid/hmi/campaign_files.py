@@ -14,6 +14,16 @@ from hitchid.hmi.adaptive import Start
 PROGRESS = "progress.json"  # what a campaign knows beside its logs
 VALIDATION = "validation-"  # begins the names of tests that are never fitted
 MOVES = "moves/move"  # begins those of the moves between tests
+SETTINGS = "identify.toml"  # of an identification of few tests
+# Tests of a direction, below which those that are held out in turn are too few to choose its form: of five,
+# the choice ends with the smallest, up to four times as wrong as an axis with dry friction (measured).
+FEW_TESTS = 8
+FORM = """structure = "integrator-second-order-stroke"
+dead_time = true
+curve = true
+spool = true
+position = true
+"""
 
 
 def read_progress(folder: Path) -> dict[str, Any]:
@@ -65,6 +75,14 @@ class CampaignFiles:
         # Not before: a pattern that matches no test is refused where the logs are read.
         if "[split]" not in content and self.count(VALIDATION):
             _replace(path, f'{content}\n[split]\ntest = ["{VALIDATION}*"]\n'.encode())
+
+    def settle_form(self, directions: Sequence[str]) -> None:
+        """Write settings of `identify` that give the form, while there are too few tests to choose it."""
+        path = self.folder / SETTINGS
+        if min(self.count(f"{direction}-") for direction in directions) < FEW_TESTS:
+            _replace(path, "\n".join(f"[{direction}]\n{FORM}" for direction in directions).encode())
+        else:
+            path.unlink(missing_ok=True)
 
     def save(self, minutes: float, start: Start, rounds: Sequence[Mapping[str, Any]]) -> None:
         """Write how far the campaign has come, whole or not at all."""

@@ -19,6 +19,7 @@ from hitchid.errors import InputError
 from hitchid.hmi import project
 from hitchid.hmi.bench_loop import BenchLoop
 from hitchid.hmi.bench_process import run_in_real_time
+from hitchid.hmi.campaign_files import SETTINGS
 from hitchid.hmi.plans import AdaptivePlan, Limits, limits_of_rig, read_goal, read_plan
 from hitchid.hmi.safety import State
 from hitchid.hmi.source import Source
@@ -42,6 +43,7 @@ class CampaignResult:
         minutes: bench time that was spent.
         rounds: after each test its bench minutes, errors and numbers of determined parameters.
         report: where its report lies, or why there is none.
+        settings: of `identify`, for fewer tests than a form is chosen by; None where there are enough.
     """
 
     folder: Path
@@ -50,10 +52,12 @@ class CampaignResult:
     minutes: float
     rounds: tuple[Mapping[str, Any], ...]
     report: str
+    settings: Path | None
 
     def describe(self) -> dict[str, object]:
         """Return the content of JSON output."""
-        return {**vars(self), "folder": str(self.folder), "rounds": list(self.rounds)}
+        places = {"folder": str(self.folder), "settings": self.settings and str(self.settings)}
+        return {**vars(self), **places, "rounds": list(self.rounds)}
 
 
 def campaign(
@@ -168,7 +172,7 @@ class _Operator:
         folder = root / run.folder
         if reason:
             raise InputError(f"{reason}; the logs so far are in {folder}, go on with resume")
-        result = planner.result
+        result, settings = planner.result, folder / SETTINGS
         return CampaignResult(
             folder,
             str(result.get("reason", "")),
@@ -176,6 +180,7 @@ class _Operator:
             float(result.get("minutes", planner.minutes)),
             tuple(result.get("rounds", ())),
             str(result.get("report", "")),
+            settings if settings.exists() else None,
         )
 
     def _tick(self) -> None:

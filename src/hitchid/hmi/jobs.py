@@ -18,6 +18,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from hitchid._support.processes import module_command, module_environment
 from hitchid.errors import HitchError, InputError
 from hitchid.hmi import project
+from hitchid.hmi.campaign_files import SETTINGS
 from hitchid.hmi.plans import Name
 from hitchid.logs import StrictSettings, describe_settings
 
@@ -101,6 +102,8 @@ def read_request(content: object, root: Path) -> tuple[Request, list[str], str]:
         case Identify():
             inputs, out = [request.logs], f"{project.MODELS}/{request.name}"
             further = ["--config", BRIEF] if request.brief else []
+            if not request.brief and (root / request.logs / SETTINGS).is_file():
+                further = ["--config", f"{request.logs}/{SETTINGS}"]
         case Validate():
             inputs, out = [request.model, request.logs], f"{project.REPORTS}/{request.name}"
         case Design():

@@ -105,6 +105,7 @@ class CampaignPlanner:
             minutes, start, self._rounds
         )  # first: a campaign that is killed while it plans loses nothing
         self._files.hold_out_validations()
+        self._files.settle_form(start.directions)
         campaign, notices, validation = self._read(), [""], {}
         if campaign is not None:
             notices = [self._learn(campaign, direction) for direction in start.directions]
