@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from fake_bench import LIMITS, STEP_S, STROKE, Plant
 from hitchid.errors import InputError
 from hitchid.hmi.adaptive import GUARD_S, LEAST_MOTION, Start, adaptive, guarded
-from hitchid.hmi.campaign_files import PROGRESS, CampaignFiles, read_progress
+from hitchid.hmi.campaign_files import FEW_TESTS, PROGRESS, SETTINGS, CampaignFiles, read_progress
 from hitchid.hmi.plans import MARGIN, read_goal, read_plan
 from hitchid.hmi.programs import RAMP_TRAVEL, Machine
+from hitchid.identification.settings_file import read_settings
 
 MACHINE = Machine(Plant.signals, STEP_S, STEP_S, LIMITS)
 
@@ -250,3 +251,15 @@ def test_goal_is_read(text):
 def test_goal_that_says_nothing_is_refused(text):
     with pytest.raises(InputError, match=r"expected a goal like 'free run 0\.2 mm in 10 s'"):
         read_plan({"kind": "adaptive", "name": "a", "goal": text})
+
+
+def test_few_tests_are_identified_by_a_given_form_more_choose_it(tmp_path):
+    files = CampaignFiles(tmp_path)
+    for number in range(FEW_TESTS):
+        files.settle_form(("lifting", "lowering"))
+        structure = read_settings(tmp_path / SETTINGS)["structure"]
+        assert {spec.structure.name for spec in structure.values()} == {"integrator-second-order-stroke"}
+        for direction in structure:
+            (tmp_path / f"{direction}-{number:02d}.csv").touch()
+    files.settle_form(("lifting", "lowering"))
+    assert not (tmp_path / SETTINGS).exists()

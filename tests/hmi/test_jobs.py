@@ -12,6 +12,7 @@ from hitchid._support.progress import ProgressUpdate
 from hitchid._support.progress_display import FORMAT_VARIABLE, progress
 from hitchid.errors import InputError
 from hitchid.hmi import jobs
+from hitchid.hmi.campaign_files import SETTINGS
 from hitchid.hmi.jobs import LINE_BYTES, LINES, POINTS, Job, Jobs, read_request
 
 
@@ -75,6 +76,12 @@ def test_a_request_is_a_command(root, command, content):
 def test_any_other_request_is_refused(root, content, problem):
     with pytest.raises(InputError, match=problem):
         read_request(content, root)
+
+
+def test_a_campaign_of_few_tests_is_identified_by_its_settings(root):
+    (root / "campaigns" / "a" / SETTINGS).write_text("")
+    _, given, _ = read_request({"kind": "identify", "logs": "campaigns/a", "name": "b"}, root)
+    assert given[given.index("--config") + 1] == f"campaigns/a/{SETTINGS}"
 
 
 def new_job():
