@@ -17,6 +17,7 @@ class Target(Enum):
     """What a model is exported to."""
 
     C = "c"
+    MATLAB = "matlab"
     FMU2 = "fmu2"
     FMU3 = "fmu3"
     ONNX = "onnx"
@@ -31,7 +32,11 @@ class Numbers(Enum):
 
 
 To = Annotated[
-    Target, typer.Option("--to", help="C99 sources, FMI 2.0 or 3.0 unit, or the networks as ONNX.")
+    Target,
+    typer.Option(
+        "--to",
+        help="C99 sources, functions of MATLAB and Octave, FMI 2.0 or 3.0 unit, or the networks as ONNX.",
+    ),
 ]
 Out = Annotated[Path, typer.Option("--out", help="Folder to write; of an FMU the file, NAME.fmu.")]
 Precision = Annotated[
@@ -43,7 +48,9 @@ NoCompensators = Annotated[
 ]
 Controller = Annotated[
     Path | None,
-    typer.Option("--controller", help="Controller file of `hitchid tune`, written as C too; with --to c."),
+    typer.Option(
+        "--controller", help="Controller file of `hitchid tune`, written beside it; with --to c and matlab."
+    ),
 ]
 Platforms = Annotated[
     list[str] | None,
@@ -73,18 +80,25 @@ def export(
     from hitchid.cli import terminal as display
 
     check_inputs(out, [model, controller])
-    if controller is not None and to is not Target.C:
-        raise InputError(f"--controller: expected --to c, got --to {to.value}; a controller is exported as C")
+    if controller is not None and to not in (Target.C, Target.MATLAB):
+        raise InputError(f"--controller: expected --to c or --to matlab, got --to {to.value}")
     prepare_jax()
     from hitchid.control import load_controller
-    from hitchid.export import to_c, to_fmu, to_onnx
+    from hitchid.export import to_c, to_fmu, to_matlab, to_onnx
     from hitchid.model import load
 
     hitch = load(model)
     code = {"name": name, "precision": precision.value, "compensators": not no_compensators, "force": force}
+    content = None if controller is None else load_controller(controller)
     if to is Target.C:
-        content = None if controller is None else load_controller(controller)
         done = to_c(hitch, out, controller=content, **code)
+    elif to is Target.MATLAB:
+        if precision is Numbers.SINGLE:
+            raise InputError(
+                "--precision: expected mixed or double with --to matlab, which computes in double"
+            )
+        code.pop("precision")
+        done = to_matlab(hitch, out, controller=content, **code)
     elif to is Target.ONNX:
         done = to_onnx(hitch, out, name=name, force=force)
     else:

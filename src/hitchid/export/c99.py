@@ -167,14 +167,7 @@ def verified_source(
     checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
     check_name(name)
     checks.one_of(precision, ("mixed", "double", "single"), "precision")
-    exported = model
-    if not compensators:
-        channels = {
-            direction: replace(channel, compensator=None, speed_compensator=None)
-            for direction, channel in model.channels.items()
-        }
-        # Without bands, too: they are those of the whole model.
-        exported = replace(model, channels=channels, uncertainty={})
+    exported = exported_model(model, compensators=compensators)
     constants = constants_of(exported)
     runs = reference_runs(exported, samples)
     templates = c_templates(constants, name, precision)
@@ -202,6 +195,18 @@ def verified_source(
     return replace(source, parity=parity)
 
 
+def exported_model(model: Hitch, *, compensators: bool) -> Hitch:
+    """Return what is exported of a model: all of it, or the physical model and its filter alone."""
+    if compensators:
+        return model
+    channels = {
+        direction: replace(channel, compensator=None, speed_compensator=None)
+        for direction, channel in model.channels.items()
+    }
+    # Without bands, too: they are those of the whole model.
+    return replace(model, channels=channels, uncertainty={})
+
+
 def c_files(verified: VerifiedSource) -> dict[str, bytes]:
     """Return the files of an export to C, name to content."""
     name, templates = verified.name, verified.templates
@@ -224,21 +229,29 @@ def c_files(verified: VerifiedSource) -> dict[str, bytes]:
 
 
 def manifest(verified: VerifiedSource, target: str, precision: Precision) -> dict[str, object]:
-    """Return what an export states about itself."""
-    return {
-        "target": target,
-        "model": verified.constants.digest,
-        "versions": {"hitchid": installed_versions()["hitchid"]},
+    """Return what an export of C states about itself."""
+    return statement(verified.constants, target, verified.parity, verified.compiler_version) | {
         "precision": precision,
-        "step_s": verified.constants.step_s,
-        "units": verified.constants.units,
-        "parity": None if verified.parity is None else asdict(verified.parity),
-        "compiler": verified.compiler_version or None,
         "memory_bytes": {
             "state": verified.templates.state_bytes,
             "saved_state": verified.templates.saved_bytes,
             "constants": verified.templates.constant_bytes(verified.files[f"{verified.name}.c"]),
         },
+    }
+
+
+def statement(
+    constants: ModelConstants, target: str, parity: Parity | None, compiler: str
+) -> dict[str, object]:
+    """Return what any export states about itself; the compiler is what the proof was run by."""
+    return {
+        "target": target,
+        "model": constants.digest,
+        "versions": {"hitchid": installed_versions()["hitchid"]},
+        "step_s": constants.step_s,
+        "units": constants.units,
+        "parity": None if parity is None else asdict(parity),
+        "compiler": compiler or None,
         "license": "The generated code belongs to the user of hitchid, without any condition.",
     }
 

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Literal
@@ -181,9 +181,11 @@ def number(value: float | int, kind: str) -> str:
     return f"{text}f" if kind == "float" else text
 
 
-@cache
-def _environment(real: str, net: str) -> Environment:
-    # The text is C, not HTML: nothing is escaped. What a file says stands in it through `comment` alone.
+def template_environment(**filters: Callable[..., Any]) -> Environment:
+    """Return an environment for templates of code, with filters.
+
+    The text is code, not HTML: nothing is escaped. What a file says stands in it through `comment` alone.
+    """
     environment = Environment(  # noqa: S701
         loader=PackageLoader("hitchid.export"),
         undefined=StrictUndefined,
@@ -191,15 +193,20 @@ def _environment(real: str, net: str) -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters |= {
-        "real": lambda value: number(value, real),
-        "net": lambda value: number(value, net),
-        "array": lambda values: _array(values, lambda value: number(value, real)),
-        "nets": lambda values: _array(values, lambda value: number(value, net)),
-        "ints": lambda values: _array(values, str),
-        "html": html_text,
-    }
+    environment.filters |= filters
     return environment
+
+
+@cache
+def _environment(real: str, net: str) -> Environment:
+    return template_environment(
+        real=lambda value: number(value, real),
+        net=lambda value: number(value, net),
+        array=lambda values: _array(values, lambda value: number(value, real)),
+        nets=lambda values: _array(values, lambda value: number(value, net)),
+        ints=lambda values: _array(values, str),
+        html=html_text,
+    )
 
 
 def _array(values: Iterable[Any], written: Any, indent: int = 8) -> str:

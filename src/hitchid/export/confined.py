@@ -1,8 +1,8 @@
-"""Runs a program that may do no more than compute: `python -I -S confined.py FOLDER PROGRAM ARGUMENTS…`.
+"""Runs a program that may do no more than compute: `python -I -S confined.py FOLDERS PROGRAM ARGUMENTS…`.
 
 A program of its own, since what a process gives up it gives up for good; it then becomes the other. On Linux
-the kernel (Landlock) leaves it one folder and the system's libraries; elsewhere it has limits and an empty
-environment alone.
+the kernel (Landlock) leaves it the first of the folders, which the separator of paths parts, the others and
+the system's libraries to read; elsewhere it has limits and an empty environment alone.
 """
 
 import ctypes
@@ -41,9 +41,11 @@ class _Beneath(ctypes.Structure):
     _fields_ = (("rights", ctypes.c_uint64), ("folder", ctypes.c_int32))
 
 
-def limit() -> None:
-    """Bound what the process may take, as far as its system has a limit of the kind."""
+def limit(but: str = "") -> None:
+    """Bound what the process may take, but for one limit, as far as its system has a limit of the kind."""
     for name, bound in LIMITS.items():
+        if name == but:
+            continue
         with suppress(AttributeError, OSError, ValueError):
             kind = getattr(resource, name)
             _, hard = resource.getrlimit(kind)
@@ -51,8 +53,8 @@ def limit() -> None:
             resource.setrlimit(kind, (most, most))
 
 
-def confine(folder: str) -> None:
-    """Give up connections, and all files but a folder and the system's libraries, where the kernel can."""
+def confine(folder: str, *readable: str) -> None:
+    """Give up connections, and all files but a folder, readable ones and libraries, where the kernel can."""
     if sys.platform != "linux":
         return
     kernel = ctypes.CDLL(None, use_errno=True)
@@ -66,12 +68,14 @@ def confine(folder: str) -> None:
     libraries = EXECUTE | READ_FILE | READ_FOLDER
     granted = {
         folder: all_rights,
-        **dict.fromkeys(LIBRARIES, libraries),
+        **dict.fromkeys((*LIBRARIES, *readable), libraries),
         **dict.fromkeys(LINKER_FILES, READ_FILE),
     }
     for path, rights in granted.items():
         if os.path.exists(path):  # no system has all of them
             descriptor = os.open(path, os.O_PATH)
+            if os.path.isfile(path):
+                rights &= ~READ_FOLDER  # which no file has
             rule = _Beneath(rights, descriptor)
             if kernel.syscall(ADD, handle, BENEATH, ctypes.byref(rule), ctypes.c_uint32(0)):
                 raise OSError(ctypes.get_errno(), "landlock_add_rule", path)
@@ -83,6 +87,8 @@ def confine(folder: str) -> None:
 
 
 if __name__ == "__main__":
-    limit()
-    confine(sys.argv[1])
-    os.execve(sys.argv[2], sys.argv[2:], {})  # noqa: S606 - the program that was compiled in the folder
+    own, *readable = sys.argv[1].split(os.pathsep)
+    # A program that reads more is an interpreter, which has threads; they count as processes.
+    limit(but="RLIMIT_NPROC" if readable else "")
+    confine(own, *readable)
+    os.execve(sys.argv[2], sys.argv[2:], {})  # noqa: S606 - it is what was to be confined

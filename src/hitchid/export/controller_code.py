@@ -71,11 +71,7 @@ def controller_files(
         InputError: the controller is for another model.
         ParityError: the compiled code differs from the controller.
     """
-    if content.digest != model.provenance.digest:
-        raise InputError(
-            f"controller: was tuned for model {content.digest[:12]}, expected "
-            f"{model.provenance.digest[:12]}; tune one for this model"
-        )
+    check_controller(content, model)
     name = f"{name}_controller"
     files, _ = _rendered(content, name, precision)
     if compiler is None:
@@ -85,6 +81,15 @@ def controller_files(
     if precision == "single":
         _proved(content, name, "double", compiler, run)
     return files, _proved(content, name, precision, compiler, run)
+
+
+def check_controller(content: ControllerFile, model: Hitch) -> None:
+    """Refuse a controller that was tuned for another model, with an InputError."""
+    if content.digest != model.provenance.digest:
+        raise InputError(
+            f"controller: was tuned for model {content.digest[:12]}, expected "
+            f"{model.provenance.digest[:12]}; tune one for this model"
+        )
 
 
 def _rendered(content: ControllerFile, name: str, precision: Precision) -> tuple[dict[str, bytes], bytes]:
@@ -114,8 +119,19 @@ def _proved(
         program = folder / "replay"
         compiler.compile([folder / f"{name}.c", folder / "replay.c"], program)
         rows = run_replay([str(program)], np.array([len(run.inputs), run.start]), run.inputs, folder)
+    return current_difference(content, rows[:, :2], run, precision)
+
+
+def current_difference(
+    content: ControllerFile, currents: Float[np.ndarray, "n 2"], run: ControllerRun, precision: Precision
+) -> float:
+    """Return the largest difference of generated currents in a run, as a share of the largest current.
+
+    Raises:
+        ParityError: in more samples than thresholds explain it is larger than rounding.
+    """
     largest = max(axis.largest_command for axis in content.controller.axes)
-    differences = np.max(np.abs(rows[:, :2] - run.currents), axis=1) / largest
+    differences = np.max(np.abs(currents - run.currents), axis=1) / largest
     # A share of samples, not the largest difference: a valve that opens a sample later differs fully.
     share = float(np.mean(~(differences <= TOLERANCES[precision])))
     if share > APART_SHARE:

@@ -271,11 +271,16 @@ def replay(program: Sequence[str], run: ReferenceRun, folder: Path) -> Float[np.
 
 
 def run_replay(
-    program: Sequence[str], head: Float[np.ndarray, " h"], inputs: Float[np.ndarray, "n c"], folder: Path
+    program: Sequence[str],
+    head: Float[np.ndarray, " h"],
+    inputs: Float[np.ndarray, "n c"],
+    folder: Path,
+    *,
+    readable: Sequence[str] = (),
 ) -> Float[np.ndarray, "n 4"]:
-    """Return the four numbers that a compiled replay program answers to each row of inputs, after the head.
+    """Return the four numbers that a replay program answers to each row of inputs, after the head.
 
-    Where the system can, the program sees no files but those of its folder.
+    Where the system can, the program sees no files but those of its folder, and readable ones.
 
     Raises:
         ParityError: the program fails.
@@ -288,7 +293,14 @@ def run_replay(
     # Nothing of the user's environment: the model, and so its code, may be a stranger's.
     environment = {name: os.environ[name] for name in ("SYSTEMROOT",) if name in os.environ}
     if os.name == "posix":
-        arguments = [sys.executable, "-I", "-S", str(CONFINED), str(folder), *arguments]
+        arguments = [
+            sys.executable,
+            "-I",
+            "-S",
+            str(CONFINED),
+            os.pathsep.join([str(folder), *readable]),
+            *arguments,
+        ]
     try:
         done = subprocess.run(  # noqa: S603
             arguments, cwd=folder, env=environment, capture_output=True, timeout=TIMEOUT_S, check=False
@@ -346,6 +358,12 @@ def verify(
         compiler.compile(sources, program)
         free, measured = (replay([str(program)], run, folder) for run in runs)
     parity = compare(runs, (free, measured), travel_range)
+    check_parity(parity, tolerance, compare_modes=compare_modes)
+    return parity
+
+
+def check_parity(parity: Parity, tolerance: Tolerance, *, compare_modes: bool = True) -> None:
+    """Raise ParityError for differences that are larger than rounding explains."""
     # Not "larger than": differences that are not numbers must not pass.
     if not (parity.measured <= tolerance.measured and parity.free_run <= tolerance.free_run):
         raise ParityError(
@@ -358,4 +376,3 @@ def verify(
             f"the generated code differs from the model in mode or flags of {parity.modes} of "
             f"{parity.samples} samples; nothing was written; please report this model"
         )
-    return parity
