@@ -16,6 +16,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from jinja2 import Environment
 from scipy.signal import ss2tf
 
 from hitchid._support import checks
@@ -285,7 +286,7 @@ def rendered(context: Mapping[str, Any], template: str, **more: object) -> str:
 
 
 @cache
-def _environment() -> Any:
+def _environment() -> Environment:
     return template_environment(
         real=_number,
         matrix=matrix,
@@ -294,12 +295,9 @@ def _environment() -> Any:
     )
 
 
-def _number(value: float) -> str:
-    return (
-        str(value).replace("nan", "NaN").replace("inf", "Inf")
-        if not math.isfinite(value)
-        else number(value, "double")
-    )
+def _number(value: float | int) -> str:
+    """Return a number with all its digits; one that is not finite as MATLAB writes it."""
+    return number(value, "double") if math.isfinite(value) else "NaN" if math.isnan(value) else "Inf"
 
 
 def matrix(values: Iterable[Any]) -> str:
