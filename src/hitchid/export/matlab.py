@@ -297,7 +297,9 @@ def _environment() -> Environment:
 
 def _number(value: float | int) -> str:
     """Return a number with all its digits; one that is not finite as MATLAB writes it."""
-    return number(value, "double") if math.isfinite(value) else "NaN" if math.isnan(value) else "Inf"
+    if math.isnan(value):
+        return "NaN"
+    return number(value, "double") if math.isfinite(value) else "Inf" if value > 0 else "-Inf"
 
 
 def matrix(values: Iterable[Any]) -> str:

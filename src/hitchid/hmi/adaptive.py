@@ -162,13 +162,14 @@ def _campaign(
             displacement = yield from settle(displacement, machine.step_s)
         else:
             is_long = abs(float(test["begin"]) - displacement) > SHORT_WAY * machine.limits.travel
+            lifting, lowering = test.get("onsets", start.onsets) if is_long else start.onsets
             moved = move(
                 displacement,
                 float(test["begin"]),
                 machine.limits,
                 machine.step_s,
                 signs=signs,  # type: ignore[arg-type]
-                onsets=test.get("onsets", start.onsets) if is_long else start.onsets,
+                onsets=(float(lifting), float(lowering)),
                 window_s=window_s,
                 log=str(test["move"]),
             )
