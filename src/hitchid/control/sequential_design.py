@@ -127,7 +127,7 @@ def learn(
 def staircase(
     lowest: float, highest: float, duration_s: float, step_s: float, rng: np.random.Generator
 ) -> Float[np.ndarray, " n"]:
-    """Return the command of a test of many levels, shape [N]: the first one, when nothing is known.
+    """Return the command of a test of many levels, shape [N]: the first one, before there is a model.
 
     Each level from the lowest to the highest comes once, in random order: a valve's curve, its hysteresis on
     the way up and down, and the dynamics are then in one test of ten seconds.

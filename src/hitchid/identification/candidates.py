@@ -220,9 +220,7 @@ class Candidate:
         In free run as it is, or, over six tests or more, with a gain fitted to each test: the unmeasured load
         of a test changes its speed from the first sample to the last and may hide what a form adds. By 2 %
         where that holds from test to test, see `better_on_held_out_tests`, or by 10 % where the fits prove
-        it, see `proved_by_all_tests`. In the other figure it must not be significantly worse (5 %). A proof
-        with a gain for each test is none in free run: on the excavator's few tests it took a form that was
-        twice as wrong on others.
+        it, see `proved_by_all_tests`. In the other figure it must not be significantly worse (5 %).
         """
         free_run = self.held_out[tests], other.held_out[tests]
         per_test_gain = self.held_out_per_test_gain[tests], other.held_out_per_test_gain[tests]
