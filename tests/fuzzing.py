@@ -257,7 +257,9 @@ def _containers(folder: Path) -> Iterator[Seed]:
         "Y": {"Name": "displacement_mm", "Data": columns()["displacement_mm"], "Unit": "mm"},
     }
     made = io.BytesIO()
-    savemat(made, {**columns(), "run": export})
+    experiment = {"InputData": columns()["displacement_mm"], "InputName": "up", "InputUnit": "A", "Ts": 0.01}
+    experiment |= {"OutputData": columns()["displacement_mm"], "SamplingInstants": columns()["time_s"]}
+    savemat(made, {**columns(), "run": export, "data": experiment})
     yield _log("mat structs", made.getvalue())
     with h5py.File(folder / "a.mat", "w", userblock_size=512) as file:
         for name, values in columns().items():

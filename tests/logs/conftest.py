@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from mat_files import mat5, mat73
 
 from hitchid.logs import write_table
 
@@ -24,3 +25,14 @@ def write_log(tmp_path):
         return folder
 
     return write
+
+
+@pytest.fixture(params=[mat5, mat73], ids=["version 5", "version 7.3"])
+def saved(request, tmp_path):
+    """Return a function that saves structs in either kind of file and returns its path."""
+
+    def save(variables):
+        request.param(tmp_path / "log.mat", variables)
+        return tmp_path / "log.mat"
+
+    return save

@@ -18,10 +18,11 @@ def pulses(seed, levels=(-1.0, 0.0, 0.0, 1.0), samples=1000):
     return np.repeat(rng.choice(levels, samples // 25), 25)
 
 
-def a_log(seed, *, up=False, against=False, zero=0.0, size=40.0):
+def a_log(seed, *, up=False, against=False, zero=0.0, size=40.0, slower_up=1.0):
     """Return command(s), a displacement that integrates them, a target, a pressure and a counter."""
     rng, drive = np.random.default_rng(seed), pulses(seed)
-    moved = 300 + (-1 if against else 1) * size * STEP_S * np.cumsum(drive)
+    speed = np.where(drive > 0, drive / slower_up, drive)
+    moved = 300 + (-1 if against else 1) * size * STEP_S * np.cumsum(speed)
     commands = {"duty_up": np.maximum(drive, 0) * 80, "duty_dn": np.maximum(-drive, 0) * 80}
     return {
         "clock": STEP_S * np.arange(drive.size),
@@ -44,8 +45,9 @@ def logs(tmp_path):
     return write
 
 
-def test_two_one_sided_commands_are_found_with_units_and_covariate(logs):
-    folder = logs(up=True)
+@pytest.mark.parametrize("slower_up", [1.0, 4.0], ids=["alike", "lifting is four times slower"])
+def test_two_one_sided_commands_are_found_with_units_and_covariate(logs, slower_up):
+    folder = logs(up=True, slower_up=slower_up)
     (folder / "campaign.toml").write_text(propose(folder))
     assert read_campaign_file(folder / "campaign.toml").signals == SignalMap(
         time=SignalColumn(column="clock", unit="s"),
@@ -165,7 +167,7 @@ def test_motion_is_looked_for_after_its_command_and_not_before_it():
     follows = np.ones(200, bool)
 
     def correlation(rate):
-        return Windows({"u": command}, {"x": rate}, follows).correlation(command, "x")
+        return Windows({"u": command}, {"x": rate}, follows).correlation([command], "x")
 
     assert correlation(np.append(0.0, command[:-1])) == pytest.approx(1.0)
     # A rate that leads its command by a window is unrelated to it: of 200 values |r| < 4/√200.

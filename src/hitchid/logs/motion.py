@@ -28,18 +28,25 @@ class Windows:
     rates: Mapping[str, np.ndarray]
     follows: np.ndarray
 
-    def correlation(self, command: np.ndarray, displacement: str) -> float:
-        """Return the correlation of a command's means, shape [W], with the rate of a displacement.
+    def correlation(self, commands: Sequence[np.ndarray], displacement: str) -> float:
+        """Return the correlation of the means of commands, each of shape [W], with a displacement's rate.
 
+        Each command has a gain of its own: of several it is the multiple correlation, which is positive.
         At a lag of zero or one window, whichever correlation is larger in magnitude.
         """
         rate, best = self.rates[displacement], 0.0
         for lag in LAGS:
             consecutive = self.follows[1:] if lag else slice(None)
-            cause, effect = command[: command.size - lag][consecutive], rate[lag:][consecutive]
-            if cause.size > 2 and np.ptp(cause) > 0 and np.ptp(effect) > 0:
-                correlation = float(np.corrcoef(cause, effect)[0, 1])
-                best = correlation if abs(correlation) > abs(best) else best
+            effect = rate[lag:][consecutive]
+            causes = [command[: command.size - lag][consecutive] for command in commands]
+            if effect.size <= 2 or min(map(np.ptp, (effect, *causes))) == 0:
+                continue
+            combined = causes[0]
+            if len(causes) > 1:
+                design = np.stack([*causes, np.ones_like(effect)], axis=1)
+                combined = design @ np.linalg.lstsq(design, effect)[0]
+            correlation = float(np.corrcoef(combined, effect)[0, 1])
+            best = correlation if abs(correlation) > abs(best) else best
         return best
 
 

@@ -101,8 +101,8 @@ INCREASING_FRACTION, RISING_FRACTION = 0.99, 0.8
 DATES_D, LONGEST_DATE_STEP_D = ((20_000.0, 80_000.0), (713_000.0, 774_000.0)), 1e-4
 EPOCHS = (("s", 1e9), ("ms", 1e12), ("us", 1e15), ("ns", 1e18))  # least stamp since 1970 (2001) in a unit
 MAX_STEP_RATIO = 0.05  # mean one-step change over the range of a displacement, at most (chosen)
-# Correlation of each of two one-sided commands; least increase by combining them (chosen).
-MIN_PAIR_CORRELATION, MIN_PAIR_GAIN = 0.05, 0.02
+# Correlation of each of two one-sided commands; share of the unexplained variance that both explain (chosen).
+MIN_PAIR_CORRELATION, MIN_PAIR_GAIN = 0.05, 0.1
 SCORE_MARGIN = 0.02  # below the best score; guesses within it are listed as alternatives (chosen)
 STEPS_S = (("s", 0.5), ("ms", 500.0), ("us", 5e5))  # unit of time and upper limit of its step (chosen)
 
@@ -235,7 +235,7 @@ def _with_clocks(content: Content, time: _Time) -> Content:
 def _guesses(log_windows: Windows, contents: Sequence[Content]) -> Iterator[_Guess]:
     """Yield every displacement with every candidate command, or pair of one-sided commands."""
     for y in (name for name in log_windows.means if _smooth(name, contents)):
-        single = {c: log_windows.correlation(log_windows.means[c], y) for c in log_windows.means if c != y}
+        single = {c: log_windows.correlation([log_windows.means[c]], y) for c in log_windows.means if c != y}
         for c, correlation in single.items():
             yield _Guess(_score(correlation, (c,), y, contents), correlation, (c,), y)
         one_sided = [
@@ -244,8 +244,9 @@ def _guesses(log_windows: Windows, contents: Sequence[Content]) -> Iterator[_Gue
         for plus, minus in permutations(one_sided, 2):
             if not single[plus] > 0 > single[minus]:
                 continue
-            correlation = log_windows.correlation(log_windows.means[plus] - log_windows.means[minus], y)
-            if correlation > max(single[plus], -single[minus]) + MIN_PAIR_GAIN:
+            correlation = log_windows.correlation([log_windows.means[plus], log_windows.means[minus]], y)
+            unexplained = 1 - max(single[plus], -single[minus]) ** 2
+            if 1 - correlation**2 < (1 - MIN_PAIR_GAIN) * unexplained:
                 yield _Guess(_score(correlation, (plus, minus), y, contents), correlation, (plus, minus), y)
 
 

@@ -1,4 +1,4 @@
-"""MATLAB `.mat` files of any version: vectors, structs of them, exports of ControlDesk and Simulink."""
+"""MATLAB `.mat` files of any version, as trees of structs, cells, numbers and texts."""
 
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,15 +14,18 @@ from hitchid.logs.content import ChannelSelection, Content, LogChannel
 from hitchid.logs.formats.hdf5 import NUMERIC_KINDS, is_external, read_dataset
 from hitchid.logs.formats.library import (
     as_log_errors,
-    column_names,
-    column_of,
     floats,
     import_optional,
-    is_matrix,
-    is_vector,
     match_clocked_channels,
     to_seconds,
-    unique_names,
+)
+from hitchid.logs.formats.mat_content import (
+    TO_STRUCT,
+    ChannelSource,
+    HiddenObject,
+    Leaf,
+    channels_of,
+    hidden_objects,
 )
 
 SUFFIXES = (".mat",)
@@ -32,29 +35,6 @@ KIND = "a MATLAB file"
 LoadVariables = Callable[[Sequence[str]], None]
 
 
-class Leaf(NamedTuple):
-    """An array of numbers, loaded on demand.
-
-    Attributes:
-        shape: its shape.
-        load: returns the numbers.
-        variable: the variable that must be loaded first; None if there is none.
-    """
-
-    shape: tuple[int, ...]
-    load: Callable[[], np.ndarray]
-    variable: str | None = None
-
-
-class ChannelSource(NamedTuple):
-    """The arrays of a channel and of its time, with their units."""
-
-    values: Leaf
-    unit: str | None = None
-    time: Leaf | None = None
-    time_unit: str | None = None
-
-
 def read(path: Path, selection: ChannelSelection) -> Content:
     """Read the selected vectors of a MATLAB file; the time is optional where each signal has one."""
     with as_log_errors(path, KIND):
@@ -62,14 +42,24 @@ def read(path: Path, selection: ChannelSelection) -> Content:
             head = stream.read(SIGNATURE_OFFSETS[-1] + len(SIGNATURE))
         is_hdf5 = any(head[offset:].startswith(SIGNATURE) for offset in SIGNATURE_OFFSETS)
         with (_open_73 if is_hdf5 else _open_5)(path) as (tree, load_variables):
-            sources = channels_of(tree)
+            sources, hidden = channels_of(tree), hidden_objects(tree, path.name)
             clocked = {name for name, source in sources.items() if source.time}
-            matches = match_clocked_channels(path, list(sources), selection, clocked)
+            if hidden and not sources:
+                raise LogError(path, hidden)
+            try:
+                matches = match_clocked_channels(path, list(sources), selection, clocked)
+            except LogError as error:
+                if not hidden:
+                    raise
+                raise LogError(path, f"{error.problem}; {hidden}", column=error.column) from error
             selected = {requested: sources[name] for requested, name in matches.items()}
             leaves = [leaf for c in selected.values() for leaf in (c.values, c.time) if leaf]
             load_variables([leaf.variable for leaf in leaves if leaf.variable])
             channels = _channels(path, selected, strict=selection.signals is not None)
-    return Content(path, channels)
+    notices = dict.fromkeys(source.note for source in selected.values() if source.note)
+    if hidden and selection.signals is None:
+        notices[f"left out: {hidden}"] = None
+    return Content(path, channels, tuple(notices))
 
 
 def _channels(path: Path, selected: Mapping[str, ChannelSource], *, strict: bool) -> dict[str, LogChannel]:
@@ -90,107 +80,6 @@ def _channels(path: Path, selected: Mapping[str, ChannelSource], *, strict: bool
     return channels
 
 
-# The content of a file of any version: structs, lists of structs, numbers, texts.
-
-
-def channels_of(tree: Mapping[str, object]) -> dict[str, ChannelSource]:
-    """Return full name to source of every vector of numbers in a file, and of every column of a matrix.
-
-    Fields of structs are named `log/stroke`; signals of a ControlDesk export by their own name, those of a
-    Simulink structure with time `out/label`; columns `data(:,2)`, where samples are along the longer side.
-    """
-    # One export needs no prefix: signals keep the names they have in the model.
-    exports = sum(_is_control_desk(node) for node in tree.values())
-    pairs: list[tuple[str, ChannelSource]] = []
-    for name, node in tree.items():
-        if isinstance(node, dict) and _is_control_desk(node):
-            pairs += _control_desk(node, f"{name}/" if exports > 1 else "")
-        else:
-            pairs += _plain_channels(name, node)
-    names = unique_names([name for name, _ in pairs])
-    return dict(zip(names, (source for _, source in pairs), strict=True))
-
-
-def _plain_channels(name: str, node: object) -> list[tuple[str, ChannelSource]]:
-    if isinstance(node, Leaf):
-        return [(column, ChannelSource(leaf)) for column, leaf in _columns(name, node)]
-    if not isinstance(node, dict):
-        return []
-    if isinstance(time := node.get("time"), Leaf) and is_vector(time.shape) and "signals" in node:
-        return _simulink(name, time, _struct_list(node["signals"]))
-    return [pair for field, inner in node.items() for pair in _plain_channels(f"{name}/{field}", inner)]
-
-
-def _is_control_desk(node: object) -> bool:
-    if not isinstance(node, dict) or not {"X", "Y"} <= node.keys():
-        return False
-    axes, signals = _struct_list(node["X"]), _struct_list(node["Y"])
-    return bool(axes and signals) and "Data" in axes[0] and {"Name", "Data"} <= signals[0].keys()
-
-
-def _control_desk(node: Mapping[str, object], prefix: str) -> list[tuple[str, ChannelSource]]:
-    axes = _struct_list(node["X"])
-    pairs = []
-    for number, signal in enumerate(_struct_list(node["Y"]), start=1):
-        data = signal.get("Data")
-        if isinstance(data, Leaf) and is_vector(data.shape):
-            axis = _axis(axes, signal.get("XIndex"), data)
-            time = axis.get("Data")
-            clock = time if isinstance(time, Leaf) else None
-            unit, time_unit = _text(signal.get("Unit")), _text(axis.get("Unit"))
-            name = _text(signal.get("Name")) or str(number)
-            pairs.append((f"{prefix}{name}", ChannelSource(data, unit, clock, time_unit)))
-    return pairs
-
-
-def _axis(axes: Sequence[Mapping[str, object]], index: object, data: Leaf) -> Mapping[str, object]:
-    """Return the axis of a signal's index, from 1, else the first of equal length, else an empty one."""
-    matching = [
-        number for number, axis in enumerate(axes, start=1) if _length(axis.get("Data")) == max(data.shape)
-    ]
-    axis_number = int(np.ravel(index.load())[0]) if isinstance(index, Leaf) and _length(index) == 1 else 0
-    if axis_number in matching:
-        return axes[axis_number - 1]
-    return axes[matching[0] - 1] if matching else {}
-
-
-def _simulink(
-    name: str, time: Leaf, signals: Sequence[Mapping[str, object]]
-) -> list[tuple[str, ChannelSource]]:
-    pairs = [(f"{name}/time", ChannelSource(time, "s", time))]
-    for number, signal in enumerate(signals, start=1):
-        values = signal.get("values")
-        if isinstance(values, Leaf) and _length(values) == _length(time):
-            label = _text(signal.get("label")) or f"signals({number})"
-            columns = _columns(f"{name}/{label}", values)
-            pairs += [(column, ChannelSource(leaf, None, time)) for column, leaf in columns]
-    return pairs
-
-
-def _columns(name: str, leaf: Leaf) -> list[tuple[str, Leaf]]:
-    """Return a vector under its own name, or the columns of a matrix."""
-    if is_vector(leaf.shape):
-        return [(name, leaf)]
-    if not is_matrix(leaf.shape):
-        return []
-    return [
-        (column, Leaf((max(leaf.shape),), lambda k=k: column_of(leaf.load(), k), leaf.variable))
-        for k, column in enumerate(column_names(name, leaf.shape))
-    ]
-
-
-def _struct_list(node: object) -> list[Mapping[str, object]]:
-    return [node] if isinstance(node, dict) else node if isinstance(node, list) else []
-
-
-def _length(node: object) -> int:
-    return max(node.shape, default=0) if isinstance(node, Leaf) else 0
-
-
-def _text(node: object) -> str | None:
-    return (node.strip() or None) if isinstance(node, str) else None
-
-
 # Up to version 7: read by scipy after a check of all declared sizes.
 
 KIND_5 = "a MATLAB file up to version 7"
@@ -200,11 +89,36 @@ NUMERIC_CLASSES = (
     "logical",
     *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64)),
 )
-# From the MAT-file format: bytes of the header; data types of elements; class of sparse arrays.
-HEADER, MATRIX, COMPRESSED, SPARSE = 128, 14, 15, 5
+# From the MAT-file format: bytes of the header; data types of elements; classes of arrays by number.
+HEADER, MATRIX, COMPRESSED = 128, 14, 15
+CLASSES = (
+    "",
+    "cell",
+    "struct",
+    "object",
+    "char",
+    "sparse",
+    "double",
+    "single",
+    "int8",
+    "uint8",
+    "int16",
+    "uint16",
+)
+CLASSES += ("int32", "uint32", "int64", "uint64", "function_handle", "opaque")
+WITH_NODES = ("struct", "cell", "object", "char")  # classes of records and of what they say
 MAX_COMPRESSION_RATIO = 1032  # largest of zlib
 MAX_EMPTY_STRUCTS = 10_000  # accepted structs without fields, which take no bytes; chosen
 StructValue = Any  # of scipy.io.loadmat, which has no types
+
+
+class _Variable(NamedTuple):
+    """A variable as its header declares it; `hidden` is the class of an object that MATLAB hides."""
+
+    name: str
+    shape: tuple[int, ...]
+    kind: str
+    hidden: str | None = None
 
 
 @contextmanager
@@ -213,27 +127,36 @@ def _open_5(path: Path) -> Iterator[tuple[Mapping[str, object], LoadVariables]]:
     from scipy.io import whosmat  # not at the top: a quarter of a second
 
     with as_log_errors(path, KIND_5):
-        _check_sizes(path)
-        # Names that scipy adds begin with two underscores, which no name in MATLAB does.
-        listing = [variable for variable in whosmat(path) if not variable[0].startswith("__")]
-    loaded: dict[str, np.ndarray] = {}
-    structs = _load_variables(path, [name for name, _, kind in listing if kind == "struct"])
+        listing = _variables(path)
+        if listing is None:
+            listing = [_Variable(name, tuple(shape), kind) for name, shape, kind in whosmat(path)]
+    # Single numbers, too: a sampling time says what the vectors are.
+    whole = [
+        v.name for v in listing if v.kind in WITH_NODES or (v.kind in NUMERIC_CLASSES and set(v.shape) == {1})
+    ]
+    loaded = _load_variables(path, whole)
     tree: dict[str, object] = {}
-    for name, shape, kind in listing:
-        if kind in NUMERIC_CLASSES and (is_vector(shape) or is_matrix(shape)):
-            tree[name] = Leaf(tuple(shape), partial(loaded.__getitem__, name), name)
-        elif kind == "struct":
-            tree[name] = _node_5(structs[name])
+    for name, shape, kind, hidden in listing:
+        if hidden:
+            tree[name] = HiddenObject(hidden)
+        elif kind in WITH_NODES:
+            tree[name] = _node_5(loaded[name])
+        elif kind in NUMERIC_CLASSES:
+            tree[name] = Leaf(shape, partial(loaded.__getitem__, name), name)
     yield tree, lambda names: loaded.update(_load_variables(path, names))
 
 
-def _check_sizes(path: Path) -> None:
-    """Check that the parts of a file of version 5 to 7 lie within it and are no larger than their bytes."""
+def _variables(path: Path) -> list[_Variable] | None:
+    """Return the variables of a file of version 5 to 7, checked against their declared sizes.
+
+    scipy lists none where one is an object. None for version 4, or another format, which scipy tells apart.
+    """
+    variables = []
     with path.open("rb") as stream:
         header = stream.read(HEADER)
         order = {b"IM": "<", b"MI": ">"}.get(header[126:128])
-        if order is None:  # version 4, or another format: scipy raises
-            return
+        if order is None:
+            return None
         size, position = stream.seek(0, 2), HEADER
         while position < size:
             stream.seek(position)
@@ -241,8 +164,12 @@ def _check_sizes(path: Path) -> None:
             end = position + 8 + length
             if end > size:
                 raise LogError(path, f"is truncated: a variable ends at byte {end}, the file has {size}")
-            _check_declared_size(path, stream, order, kind, length)
+            variable = _declared(path, stream, order, kind, length)
+            # The workspace of functions and objects has no name; none in MATLAB begins with an underscore.
+            if variable and variable.name and not variable.name.startswith("__"):
+                variables.append(variable)
             position = end
+    return variables
 
 
 def _read_tag(block: bytes, order: str) -> tuple[int, int]:
@@ -252,12 +179,13 @@ def _read_tag(block: bytes, order: str) -> tuple[int, int]:
     return first, second
 
 
-def _check_declared_size(path: Path, stream: BinaryIO, order: str, kind: int, length: int) -> None:
+def _declared(path: Path, stream: BinaryIO, order: str, kind: int, length: int) -> _Variable | None:
+    """Return what the header of a variable declares; only sparse arrays may be larger than their bytes."""
     head = stream.read(min(length, 2048))
     if kind == COMPRESSED:
         head = zlib.decompressobj().decompress(head, 512)
         if len(head) < 8:
-            return
+            return None
         kind, packed_length, length = *_read_tag(head, order)[:1], length, _read_tag(head, order)[1]
         if length > MAX_COMPRESSION_RATIO * packed_length:
             raise LogError(
@@ -265,12 +193,31 @@ def _check_declared_size(path: Path, stream: BinaryIO, order: str, kind: int, le
             )
         head = head[8:]
     if kind != MATRIX or len(head) < 24:
-        return
+        return None
     numbers = np.frombuffer(head[: len(head) // 4 * 4], f"{order}u4").tolist()
-    shape = numbers[6 : 6 + min(numbers[5] // 4, 32)]
+    number, is_logical = numbers[2] & 0xFF, bool(numbers[2] & 0x200)
+    array_class = CLASSES[number] if number < len(CLASSES) else ""
+    if array_class == "opaque":  # no shape; name, kind of object, class
+        name, at = _text_at(head, 16, order)
+        _, at = _text_at(head, at, order)
+        return _Variable(name, (), array_class, hidden=_text_at(head, at, order)[0] or "object")
+    rank = min(numbers[5] // 4, 32)
+    shape = tuple(numbers[6 : 6 + rank])
     count = int(np.prod(shape, dtype=object))
-    if numbers[2] & 0xFF != SPARSE and count > max(length, MAX_EMPTY_STRUCTS):
+    if array_class != "sparse" and count > max(length, MAX_EMPTY_STRUCTS):
         raise LogError(path, f"cannot be read as {KIND_5}: {length} bytes declare {count} values")
+    name, _ = _text_at(head, 24 + -(-4 * rank // 8) * 8, order)
+    return _Variable(name, shape, "logical" if is_logical else array_class)
+
+
+def _text_at(head: bytes, start: int, order: str) -> tuple[str, int]:
+    """Return the text of an element, and where the next one starts."""
+    kind, length = _read_tag(head[start:], order)
+    if kind >> 16:  # up to four bytes lie within the tag
+        begin, length, after = start + 4, kind >> 16, start + 8
+    else:
+        begin, after = start + 8, start + 8 + -(-length // 8) * 8
+    return head[begin : begin + length].decode("latin1"), after
 
 
 def _load_variables(path: Path, names: Sequence[str]) -> dict[str, StructValue]:
@@ -285,11 +232,19 @@ def _load_variables(path: Path, names: Sequence[str]) -> dict[str, StructValue]:
 
 def _node_5(value: Any) -> object:
     """Return the node of a value loaded by scipy and of all in it; None for a value without numbers."""
-    if type(value) is not np.ndarray:  # objects and functions are subclasses of the array
+    from scipy.io.matlab import MatlabFunction, MatlabOpaque
+
+    if isinstance(value, MatlabOpaque):
+        described = value.ravel()[0]
+        stored = described["_Class" if "_Class" in (value.dtype.names or ()) else "s2"]
+        return HiddenObject(stored.decode("latin1") if isinstance(stored, bytes) else str(stored))
+    if not isinstance(value, np.ndarray) or isinstance(value, MatlabFunction):
         return None
     if value.dtype.names is not None:
         structs = [{name: _node_5(struct[name]) for name in value.dtype.names} for struct in value.ravel()]
         return structs[0] if len(structs) == 1 else structs
+    if value.dtype.kind == "O":
+        return [_node_5(entry) for entry in value.ravel()]
     if value.dtype.kind == "U":
         return str(value[0]) if value.size == 1 else None
     return Leaf(value.shape, lambda: value) if value.dtype.kind in "fiub" else None
@@ -300,7 +255,8 @@ def _node_5(value: Any) -> object:
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 SIGNATURE_OFFSETS = (0, 512)  # bytes; MATLAB puts a header of 512 bytes in front
 MAX_DEPTH = 30  # nested structs; chosen
-NON_NUMERIC_CLASSES = ("char", "cell", "struct", "function_handle", "table", "string", "categorical")
+NON_NUMERIC_CLASSES = ("char", "cell", "struct", "function_handle", "string", "categorical")
+MCOS = 3  # value of MATLAB_object_decode at a reference to an object of a class
 
 
 @contextmanager
@@ -358,8 +314,12 @@ def _array(reader: _Reader, item: Any, depth: int) -> object:
         return None
     if kind == "char" and item.dtype.kind == "u" and item.ndim == 2:
         return "".join(map(chr, item[()].ravel().tolist())) if min(item.shape) == 1 else None
-    if kind == "" and item.dtype == reader.h5py.ref_dtype:  # one field of an array of structs
-        return _Column([_node(reader, item.file[reference], depth + 1) for reference in item[()].ravel()])
+    if item.attrs.get("MATLAB_object_decode") == MCOS or kind in TO_STRUCT:
+        return HiddenObject(kind)
+    if kind in ("", "cell") and item.dtype == reader.h5py.ref_dtype and depth < MAX_DEPTH:
+        nodes = [_node(reader, item.file[reference], depth + 1) for reference in item[()].ravel()]
+        # Without a class: one field of an array of structs.
+        return nodes if kind == "cell" else _Column(nodes)
     if item.dtype.kind in NUMERIC_KINDS and kind not in NON_NUMERIC_CLASSES:
         # MATLAB stores the transpose.
         return Leaf(item.shape[::-1], lambda: read_dataset(reader.path, item, item.name.lstrip("/")).T)
