@@ -1,13 +1,15 @@
-"""Exported code on other compilers and processors, and its cost on a Cortex-M4F.
+"""Exported code on other compilers, processors and in Octave, and its cost on a Cortex-M4F.
 
-    python -m benchmarks.export [MODEL]
+    python -m benchmarks.export [MODEL …]
 
-Uses what is installed of gcc, clang, ziglang, cross compilers for ARM with qemu-user, arm-none-eabi-gcc with
-the package unicorn, and cppcheck; the rest is left out and named. Debian: clang wine64 gcc-arm-none-eabi
-libnewlib-arm-none-eabi qemu-user-static gcc-aarch64-linux-gnu gcc-arm-linux-gnueabihf cppcheck.
+Uses what is installed of Octave, gcc, clang, ziglang, cross compilers for ARM with qemu-user,
+arm-none-eabi-gcc with the package unicorn, and cppcheck; the rest is left out and named. Debian: octave clang
+wine64 gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-user-static gcc-aarch64-linux-gnu
+gcc-arm-linux-gnueabihf cppcheck.
 """
 
 import argparse
+import json
 import re
 import shutil
 import struct
@@ -19,7 +21,10 @@ from pathlib import Path
 import numpy as np
 
 import hitchid
-from hitchid.export.c99 import REPLAY, VerifiedSource, verified_source
+from hitchid.control import load_controller, save_controller, tune
+from hitchid.export import to_c, to_matlab
+from hitchid.export.c99 import MANIFEST, REPLAY, VerifiedSource, verified_source
+from hitchid.export.matlab import find_octave
 from hitchid.export.verification import compare, replay
 
 from .gauntlet.measured import DATA
@@ -78,10 +83,20 @@ def main() -> int:
     """Print one line for each compiler, precision and check."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.export")
     parser.add_argument(
-        "model", nargs="?", help="model folder; by default rig-a is identified without rivals"
+        "models", nargs="*", help="model folders; by default rig-a and excavator-boom are identified"
     )
-    folder = parser.parse_args().model
-    model = rig_a() if folder is None else hitchid.load(folder)
+    for folder in parser.parse_args().models:
+        report(hitchid.load(folder))
+    if not parser.parse_args().models:
+        for name in ("rig-a", "excavator-boom"):
+            say(f"{name}:")
+            report(hitchid.identify(hitchid.read(DATA / name)).model)
+    return 0
+
+
+def report(model: hitchid.Hitch) -> None:
+    """Print the lines of a model."""
+    say(f"Octave: {of_octave(model)}")
     for compensators in (False, True):
         verified = verified_source(model, "hitch", precision="mixed", compensators=compensators)
         what = "with networks" if compensators else "physics alone"
@@ -96,12 +111,29 @@ def main() -> int:
     say(
         f"cppcheck with MISRA: {misra(verified_source(model, 'hitch', precision='mixed', compensators=True))}"
     )
-    return 0
 
 
-def rig_a() -> hitchid.Hitch:
-    """Return the default model of rig-a."""
-    return hitchid.identify(hitchid.read(DATA / "rig-a")).model
+def of_octave(model: hitchid.Hitch) -> str:
+    """Return the largest differences of the functions of MATLAB, and of their controller beside that in C."""
+    if find_octave() is None:
+        return "not installed"
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        model.save(folder / "model")
+        save_controller(tune(model), model, folder / "controller.toml", model_folder="model")
+        controller = load_controller(folder / "controller.toml")
+        written = to_matlab(model, folder / "m", controller=controller)
+        to_c(model, folder / "c", precision="double", controller=controller)
+        differences = [
+            json.loads((folder / target / MANIFEST).read_text())["controller"]["current_difference"]
+            for target in ("m", "c")
+        ]
+    if (parity := written.parity) is None:
+        return "not verified"
+    return (
+        f"{parity.measured:.1e}/{parity.free_run:.1e} modes {parity.modes}; controller, of the largest "
+        f"current: {differences[0]:.1e}, in C {differences[1]:.1e}"
+    )
 
 
 def say(line: str) -> None:

@@ -5,6 +5,7 @@ from hitchid.cli import (
     campaign,
     compare,
     design,
+    doctor,
     drive,
     export,
     fleet,
@@ -37,6 +38,7 @@ for _command, _example in (
     (hmi.hmi, "hitchid hmi project"),
     (bench.bench, "hitchid bench logs --protocol prbs --tests 20"),
     (reproduce.reproduce, "hitchid reproduce --out study --quick"),
+    (doctor.doctor, "hitchid doctor"),
 ):
     app.command(epilog=f"Example: {_example}")(_command)
 app.add_typer(fleet.app)

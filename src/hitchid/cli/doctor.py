@@ -1,0 +1,198 @@
+"""`hitchid doctor`: what is installed, what is missing for which command, and where computing happens."""
+
+import json
+import os
+import platform
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, distribution, entry_points, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from hitchid._support.jax_setup import cache_folder, prepare_jax
+from hitchid._support.tables import Table
+from hitchid.cli import options
+
+if TYPE_CHECKING:
+    from packaging.requirements import Requirement
+
+# What each extra, and each program beside Python, is for.
+EXTRAS = {
+    "can": "CAN logs: .asc, .blf, .trc, .log, and a bus in .mf4",
+    "control": "in Python: models for python-control",
+    "cuda": "computing on a GPU of NVIDIA",
+    "fleet": "hitchid fleet",
+    "fmu": "hitchid export --to fmu2, fmu3: binaries for other systems; a C compiler where there is none",
+    "hdf5": "logs .h5, .hdf5, .nc, and .mat of version 7.3",
+    "hmi": "hitchid hmi",
+    "mdf": "logs .mf4, .mdf",
+    "onnx": "hitchid export --to onnx",
+    "pandas": "in Python: DataFrames",
+    "parquet": "logs .parquet",
+    "pdf": "--pdf",
+    "tdms": "logs .tdms",
+    "xlsx": "--xlsx",
+}
+PROGRAMS = {
+    "C compiler": "hitchid export --to c, fmu2, fmu3: binaries, and the proof of the code",
+    "Octave": "hitchid export --to matlab: the proof of the functions",
+}
+GROUPS = ("structures", "baselines", "formats", "renderers")  # entry points of other packages
+# Variables that change what a run does. Values may hold names and places of the user, and are not shown.
+VARIABLES = ("CC", "HITCHID_PROGRESS", "JAX_COMPILATION_CACHE_DIR", "JAX_ENABLE_X64", "JAX_PLATFORMS")
+VARIABLES += ("OCTAVE", "OMP_NUM_THREADS", "XDG_CACHE_HOME", "XLA_FLAGS")
+
+
+def doctor(as_json: options.AsJson = False) -> None:
+    """Show what is installed, which extras and programs are missing for what, and where computing happens.
+
+    Holds what a report of a fault needs, without a path or a name of the user. Exit code 1 if a package
+    that every command needs is missing or too old, or JAX does not start.
+    """
+    state = examine()
+    typer.echo(json.dumps(state, indent=2) if as_json else text_of(state))
+    if state["problems"]:
+        raise typer.Exit(1)
+
+
+def examine() -> dict[str, Any]:
+    """Return the state of this installation, as data for JSON."""
+    variables = [name for name in VARIABLES if name in os.environ]  # before JAX is given flags of ours
+    required, extras = _requirements()
+    devices, problem = _devices()
+    problems = [
+        f"{name}: expected {need['expected'] or 'any version'}, found {need['installed'] or 'none'}"
+        for name, need in required.items()
+        if not need["fits"]
+    ]
+    return {
+        "hitchid": version("hitchid"),
+        "installed_for_development": _is_editable(),
+        "python": f"{platform.python_implementation()} {platform.python_version()}",
+        "system": platform.platform(),
+        "processors": _processors(),
+        "devices": devices,
+        "required": required,
+        "extras": {
+            name: {"for": EXTRAS.get(name, ""), "packages": packages} for name, packages in extras.items()
+        },
+        "programs": {name: {"for": PROGRAMS[name], "version": found} for name, found in _programs().items()},
+        "extensions": sorted(_extensions()),
+        "cache": _cache(),
+        "environment": variables,
+        "problems": problems + ([problem] if problem else []),
+    }
+
+
+def _requirements() -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """Return the packages that are always needed, and those of each extra, with the versions installed."""
+    from packaging.requirements import Requirement
+
+    distributed = distribution("hitchid")
+    required: dict[str, Any] = {}
+    extras: dict[str, dict[str, Any]] = {
+        name: {} for name in sorted(distributed.metadata.get_all("Provides-Extra") or [])
+    }
+    for requirement in map(Requirement, distributed.requires or []):
+        marker, state = requirement.marker, _state(requirement)
+        if marker is None or marker.evaluate({"extra": ""}):
+            required[requirement.name] = state
+        for name, packages in extras.items():
+            if marker is not None and marker.evaluate({"extra": name}):
+                packages[str(requirement).partition(";")[0].strip()] = state
+    return required, extras
+
+
+def _state(requirement: "Requirement") -> dict[str, Any]:
+    """Return the version of a required package, and whether it fits; packages of its own extras count."""
+    from packaging.requirements import Requirement
+
+    try:
+        installed = version(requirement.name)
+    except PackageNotFoundError:
+        installed = None
+    fits = installed is not None and requirement.specifier.contains(installed, prereleases=True)
+    further = map(Requirement, distribution(requirement.name).requires or []) if fits else ()
+    for inner in further:
+        if inner.marker and any(inner.marker.evaluate({"extra": name}) for name in requirement.extras):
+            fits = fits and _state(inner)["fits"]
+    return {"expected": str(requirement.specifier), "installed": installed, "fits": fits}
+
+
+def _is_editable() -> bool:
+    """Return whether the package is used from a folder of sources."""
+    stated = json.loads(distribution("hitchid").read_text("direct_url.json") or "{}")
+    return bool(stated.get("dir_info", {}).get("editable"))
+
+
+def _processors() -> dict[str, Any]:
+    """Return how many processors there are and may be used, and the memory, GiB."""
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    memory = None
+    if hasattr(os, "sysconf") and {"SC_PAGE_SIZE", "SC_PHYS_PAGES"} <= os.sysconf_names.keys():
+        memory = round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1)
+    return {"installed": os.cpu_count(), "usable": usable, "memory_GiB": memory}
+
+
+def _devices() -> tuple[list[str], str | None]:
+    """Return the devices on which JAX computes, and why it does not start, if so."""
+    try:
+        prepare_jax()
+        import jax
+
+        # Of a processor both are the same.
+        return [" ".join(dict.fromkeys((d.platform, d.device_kind))) for d in jax.devices()], None
+    except Exception as error:  # whatever is broken: the report must tell it, and its text may hold paths
+        return [], f"JAX does not start: {type(error).__name__}"
+
+
+def _programs() -> dict[str, str | None]:
+    from hitchid.export.matlab import find_octave
+    from hitchid.export.verification import find_compiler
+
+    compiler, octave = find_compiler(), find_octave()
+    return {"C compiler": compiler and compiler.version, "Octave": octave and octave.version}
+
+
+def _extensions() -> Iterator[str]:
+    for group in GROUPS:
+        for entry in entry_points(group=f"hitchid.{group}"):
+            package = f"{entry.dist.name} {entry.dist.version}" if entry.dist else "an installed package"
+            yield f"{group}: {entry.name} of {package}"
+
+
+def _cache() -> dict[str, Any]:
+    """Return how much is kept of earlier runs, and whether more can be."""
+    folder = cache_folder()
+    sizes = [path.stat().st_size for path in folder.rglob("*") if path.is_file()]
+    existing: Path = next(place for place in (folder, *folder.parents) if place.exists())
+    return {"files": len(sizes), "MB": round(sum(sizes) / 1e6, 1), "writable": os.access(existing, os.W_OK)}
+
+
+def text_of(state: dict[str, Any]) -> str:
+    """Return the state as lines and tables, what is missing at the end."""
+    processors, cache = state["processors"], state["cache"]
+    memory = f", {processors['memory_GiB']} GiB memory" if processors["memory_GiB"] else ""
+    copy = " (development copy)" if state["installed_for_development"] else ""
+    lines = [
+        f"hitchid {state['hitchid']}{copy}, {state['python']}, {state['system']}",
+        f"computes on: {', '.join(state['devices']) or 'nothing'}; "
+        f"{processors['usable']} of {processors['installed']} processors{memory}",
+        f"cache: {cache['files']} files, {cache['MB']} MB, {'' if cache['writable'] else 'not '}writable",
+        f"set in the environment: {', '.join(state['environment']) or 'nothing that matters'}",
+        f"extensions: {'; '.join(state['extensions']) or 'none'}",
+        "required: " + ", ".join(f"{name} {need['installed']}" for name, need in state["required"].items()),
+    ]
+    rows = []
+    for name, extra in state["extras"].items():
+        missing = [package for package, need in extra["packages"].items() if not need["fits"]]
+        state_text = f"missing: {', '.join(missing)}" if missing else "installed"
+        rows.append((f"hitchid[{name}]", state_text, extra["for"]))
+    for name, program in state["programs"].items():
+        rows.append((name, program["version"] or "missing", program["for"]))
+    table = Table("", ("part", "state", "for"), tuple(rows))
+    problems = [f"fault: {problem}" for problem in state["problems"]] or [
+        "Nothing that every command needs is missing."
+    ]
+    return "\n".join([*lines, table.text(), *problems])
