@@ -1,7 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo setup lint test test-all gauntlet gauntlet-full docs reproduce bench study pins clean
+.PHONY: demo setup lint test test-all gauntlet gauntlet-full docs reproduce bench study release pins clean
 
 setup: .venv/.ready
 
@@ -66,6 +66,10 @@ study: setup
 	$(BIN)/python -m benchmarks.hmi --minutes 60
 	$(BIN)/python -m benchmarks.fleet same killed study 1000
 	$(BIN)/python -m benchmarks.adaptation
+
+# Builds sdist and wheel twice, tries them in fresh environments of every Python found, with SBOM and hashes, into dist/.
+release: setup
+	$(BIN)/python -m tools.release
 
 # For maintainers; needs uv in PATH.
 pins:

@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 # What each extra, and each program beside Python, is for.
 EXTRAS = {
-    "can": "CAN logs: .asc, .blf, .trc, .log, and a bus in .mf4",
+    "can": "logs .asc, .blf, .trc, .log; CAN in .mf4",
     "control": "in Python: models for python-control",
     "cuda": "computing on a GPU of NVIDIA",
     "fleet": "hitchid fleet",
-    "fmu": "hitchid export --to fmu2, fmu3: binaries for other systems; a C compiler where there is none",
-    "hdf5": "logs .h5, .hdf5, .nc, and .mat of version 7.3",
+    "fmu": "hitchid export: FMUs for other systems",
+    "hdf5": "logs .h5, .nc, .mat of version 7.3",
     "hmi": "hitchid hmi",
     "mdf": "logs .mf4, .mdf",
     "onnx": "hitchid export --to onnx",
@@ -35,8 +35,8 @@ EXTRAS = {
     "xlsx": "--xlsx",
 }
 PROGRAMS = {
-    "C compiler": "hitchid export --to c, fmu2, fmu3: binaries, and the proof of the code",
-    "Octave": "hitchid export --to matlab: the proof of the functions",
+    "C compiler": "hitchid export: FMUs, proof of C",
+    "Octave": "hitchid export: proof of MATLAB",
 }
 GROUPS = ("structures", "baselines", "formats", "renderers")  # entry points of other packages
 # Variables that change what a run does. Values may hold names and places of the user, and are not shown.
@@ -188,10 +188,10 @@ def text_of(state: dict[str, Any]) -> str:
     for name, extra in state["extras"].items():
         missing = [package for package, need in extra["packages"].items() if not need["fits"]]
         state_text = f"missing: {', '.join(missing)}" if missing else "installed"
-        rows.append((f"hitchid[{name}]", state_text, extra["for"]))
+        rows.append((f"hitchid[{name}]", extra["for"], state_text))
     for name, program in state["programs"].items():
-        rows.append((name, program["version"] or "missing", program["for"]))
-    table = Table("", ("part", "state", "for"), tuple(rows))
+        rows.append((name, program["for"], program["version"] or "missing"))
+    table = Table("", ("part", "for", "state"), tuple(rows))
     problems = [f"fault: {problem}" for problem in state["problems"]] or [
         "Nothing that every command needs is missing."
     ]

@@ -1,0 +1,100 @@
+"""A release: two builds are equal, the wheel holds the package alone, and README's example runs from it."""
+
+import subprocess
+from datetime import UTC, datetime
+from pathlib import Path
+from zipfile import ZipFile
+
+import pytest
+from tools import release
+
+ROOT = Path(__file__).parents[1]
+DATE = datetime(2026, 1, 2, tzinfo=UTC)
+DATA = {
+    "hitchid/py.typed",
+    "hitchid/report/templates/page.html",
+    "hitchid/report/templates/page.css",
+    "hitchid/report/templates/report.typ",
+    "hitchid/bench/parameters/nominal.toml",
+}
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """Return sdist and wheel."""
+    return release.build(ROOT, tmp_path_factory.mktemp("first") / "a", DATE)
+
+
+@pytest.mark.long
+def test_two_builds_in_two_folders_are_equal(built, tmp_path):
+    other = release.build(ROOT, tmp_path / "another place", DATE)
+    release.check_same(built, other)
+    later = release.build(ROOT, tmp_path / "later", DATE.replace(year=2027))
+    with pytest.raises(release.ReleaseError, match="of two builds differ"):
+        release.check_same(built, later)
+
+
+@pytest.mark.long
+def test_the_wheel_holds_the_package_and_nothing_else(built):
+    sdist, wheel = built
+    names = set(ZipFile(wheel).namelist())
+    packaged = {name for name in names if ".dist-info/" not in name}
+    sources = {
+        path.relative_to(ROOT / "src").as_posix()
+        for path in (ROOT / "src").rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    assert packaged == sources
+    assert packaged >= DATA
+    metadata = {name.partition(".dist-info/")[2] for name in names - packaged}
+    assert metadata == {"METADATA", "WHEEL", "RECORD", "entry_points.txt", "licenses/LICENSE"}
+    version, _ = release.stated_version(ROOT)
+    release.check_metadata(wheel, version)
+    assert sdist.name == f"hitchid-{version}.tar.gz"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("age", ["oldest", "newest"])
+def test_readmes_example_runs_in_a_fresh_environment(built, age, tmp_path):
+    pythons = list(release.pythons().values())
+    if len(pythons) < 2:
+        pytest.skip(f"needs two of Python {', '.join(release.VERSIONS)}; found {len(pythons)}")
+    python = pythons[0 if age == "oldest" else -1]
+    asked = [python, "-m", "pip", "--retries", "0", "--timeout", "10", "download", "--no-deps", "typer"]
+    done = subprocess.run([*asked, "--dest", tmp_path / "asked"], capture_output=True, check=False)  # noqa: S603
+    if done.returncode:
+        pytest.skip("pip reaches no index of packages")
+    program = release.try_out(built[1], python, tmp_path, pinned=True)
+    package = program.parents[1] / "lib"
+    release.run([program, "-W", "error", "-m", "compileall", "-q", "-f", package], tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changelog", "problem"),
+    [
+        ("## [Unreleased]\n\n- new\n\n## [0.3.0] - 2026-01-01\n", "expected nothing unreleased, got '- new'"),
+        ("## [Unreleased]\n\n## [0.2.0] - 2026-01-01\n", r"expected '## \[0\.3\.0\] - YYYY-MM-DD'"),
+        ("## [Unreleased]\n", r"expected '## \[0\.3\.0\] - YYYY-MM-DD'"),
+    ],
+)
+def test_a_release_needs_its_day_and_nothing_unreleased(tmp_path, changelog, problem):
+    (tmp_path / "pyproject.toml").write_text('[project]\nversion = "0.3.0"\n')
+    (tmp_path / "CHANGELOG.md").write_text(f"# Changelog\n\n{changelog}")
+    with pytest.raises(release.ReleaseError, match=problem):
+        release.stated_version(tmp_path)
+    (tmp_path / "CHANGELOG.md").write_text("## [Unreleased]\n\n## [0.3.0] - 2026-01-02\n")
+    assert release.stated_version(tmp_path) == ("0.3.0", DATE)
+
+
+def test_hashes_are_those_that_sha256sum_checks(tmp_path):
+    (tmp_path / "b.txt").write_text("b")
+    (tmp_path / "a.txt").write_text("a")
+    text = release.write_hashes(tmp_path).read_text()
+    subprocess.run(["sha256sum", "-c", "--quiet"], input=text, text=True, cwd=tmp_path, check=True)  # noqa: S607
+    assert [line.split()[1] for line in text.splitlines()] == ["a.txt", "b.txt"]
+
+
+def test_a_file_that_is_too_large_is_no_release(built, monkeypatch):
+    monkeypatch.setattr(release, "MAX_BYTES", 1000)
+    with pytest.raises(release.ReleaseError, match="expected at most 1000"):
+        release.check_metadata(built[1], release.stated_version(ROOT)[0])
