@@ -42,7 +42,7 @@ gauntlet-full: setup
 	$(BIN)/python -m benchmarks.gauntlet --full
 
 docs: setup
-	$(BIN)/sphinx-build -W --keep-going -n -b html docs build/docs
+	$(BIN)/python -m tools.site
 
 reproduce: setup
 	$(BIN)/hitchid reproduce --out build/reproduce --force

@@ -65,7 +65,7 @@ autodoc_default_options = {"members": True}
 default_role = "code"
 
 html_theme = "furo"
-html_title = "hitchid"
+html_title = f"hitchid {version}"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_show_sourcelink = False

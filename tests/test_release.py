@@ -1,12 +1,13 @@
 """A release: two builds are equal, the wheel holds the package alone, and README's example runs from it."""
 
+import re
 import subprocess
 from datetime import UTC, datetime
 from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
-from tools import release
+from tools import release, site
 
 ROOT = Path(__file__).parents[1]
 DATE = datetime(2026, 1, 2, tzinfo=UTC)
@@ -65,7 +66,7 @@ def test_readmes_example_runs_in_a_fresh_environment(built, age, tmp_path):
     if done.returncode:
         pytest.skip("pip reaches no index of packages")
     program = release.try_out(built[1], python, tmp_path, pinned=True)
-    package = program.parents[1] / "lib"
+    (package,) = program.parents[1].glob("lib/python*/site-packages/hitchid")
     release.run([program, "-W", "error", "-m", "compileall", "-q", "-f", package], tmp_path)
 
 
@@ -92,6 +93,17 @@ def test_hashes_are_those_that_sha256sum_checks(tmp_path):
     text = release.write_hashes(tmp_path).read_text()
     subprocess.run(["sha256sum", "-c", "--quiet"], input=text, text=True, cwd=tmp_path, check=True)  # noqa: S607
     assert [line.split()[1] for line in text.splitlines()] == ["a.txt", "b.txt"]
+
+
+def test_versions_of_the_pages_are_listed_from_the_newest_on(tmp_path, monkeypatch):
+    own, _ = release.stated_version(ROOT)
+    built = []
+    monkeypatch.setattr(site, "build", lambda tree, out, version, newest: built.append((version, newest)))
+    monkeypatch.setattr(site, "git", lambda *said: "v0.1.9\nv0.1.10\nvnext\n" if said[0] == "tag" else "")
+    site.main(tmp_path)
+    assert built == [(own, own), ("0.1.10", own), ("0.1.9", own)]
+    listed = re.findall(r'<a href="(\S+)/index\.html">', (tmp_path / "index.html").read_text())
+    assert listed == [own, "0.1.10", "0.1.9"]
 
 
 def test_a_file_that_is_too_large_is_no_release(built, monkeypatch):

@@ -21,6 +21,7 @@ import hitchid
 from hitchid import cli
 from hitchid.control.drive_report import read_drive_limits
 from hitchid.errors import InputError
+from hitchid.export.matlab import OPTIONS, find_octave
 from hitchid.identification import identify, read_settings
 from hitchid.logs.signal_map import read_campaign_file
 from hitchid.validation import read_limits
@@ -116,6 +117,8 @@ def run_block(block: Block, names: dict[str, object]) -> None:
         case "json":
             for line in block.text.splitlines():
                 json.loads(line)
+        case "octave":
+            run_octave(block)
         case "text" | "c":
             pass
         case other:
@@ -156,6 +159,16 @@ def run_command(command: Command, place: str) -> None:
     for line in command.shown:
         matched = line in ("", OMITTED) or any(alike(line, printed_line) for printed_line in remaining)
         assert matched, f"{context}\ndid not print: {line}\n{printed}"
+
+
+def run_octave(block: Block) -> None:
+    """Run lines of Octave, where it is installed; a warning is a failure."""
+    octave = find_octave()
+    if octave is None:
+        return
+    Path("block.m").write_text(block.text, encoding="utf-8")
+    done = subprocess.run([octave.program, *OPTIONS, "block.m"], capture_output=True, text=True, check=False)  # noqa: S603
+    assert (done.returncode, done.stderr) == (0, ""), f"{block.place}\n{done.stderr}"
 
 
 def call(arguments: list[str], standard_input: str | None) -> tuple[int, str]:

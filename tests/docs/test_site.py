@@ -151,6 +151,18 @@ def test_the_help_of_every_command_is_shown(pages, site):
             assert f"Example: hitchid {name} " in text or "|" in command.epilog
 
 
+def test_search_needs_no_network(site, browser):
+    page = browser.new_page()
+    requests: list[str] = []
+    page.on("request", lambda request: requests.append(request.url))
+    page.goto(f"{(site / 'search.html').as_uri()}?q=dead+zone")
+    page.get_by_role("link", name="The method", exact=True).wait_for(
+        timeout=60_000
+    )  # ms; as busy as it may be
+    page.close()
+    assert [url for url in requests if not url.startswith("file:")] == []
+
+
 def test_every_page_has_one_title_and_skips_no_rank(pages, site):
     for path, page in pages.items():
         name = path.relative_to(site)
