@@ -38,7 +38,7 @@ for _command, _example in (
     (hmi.hmi, "hitchid hmi project"),
     (bench.bench, "hitchid bench logs --protocol prbs --tests 20"),
     (reproduce.reproduce, "hitchid reproduce --out study --quick"),
-    (doctor.doctor, "hitchid doctor"),
+    (doctor.doctor, "hitchid doctor --json"),
 ):
     app.command(epilog=f"Example: {_example}")(_command)
 app.add_typer(fleet.app)
