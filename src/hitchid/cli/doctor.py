@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from hitchid._support.jax_setup import cache_folder, prepare_jax
-from hitchid._support.tables import Table
 from hitchid.cli import options
 
 if TYPE_CHECKING:
@@ -172,6 +171,8 @@ def _cache() -> dict[str, Any]:
 
 def text_of(state: dict[str, Any]) -> str:
     """Return the state as lines and tables, what is missing at the end."""
+    from hitchid._support.tables import Table
+
     processors, cache = state["processors"], state["cache"]
     memory = f", {processors['memory_GiB']} GiB memory" if processors["memory_GiB"] else ""
     copy = " (development copy)" if state["installed_for_development"] else ""
