@@ -1,7 +1,7 @@
 """MATLAB `.mat` files of any version, as trees of structs, cells, numbers and texts."""
 
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -13,20 +13,16 @@ from hitchid.errors import LogError
 from hitchid.logs.content import ChannelSelection, Content, LogChannel
 from hitchid.logs.formats.hdf5 import NUMERIC_KINDS, is_external, read_dataset
 from hitchid.logs.formats.library import (
+    MAX_COLUMNS,
     as_log_errors,
     floats,
     import_optional,
     match_clocked_channels,
     to_seconds,
 )
-from hitchid.logs.formats.mat_content import (
-    TO_STRUCT,
-    ChannelSource,
-    HiddenObject,
-    Leaf,
-    channels_of,
-    hidden_objects,
-)
+from hitchid.logs.formats.mat_content import channels_of, is_entry
+from hitchid.logs.formats.mat_experiments import rival_time
+from hitchid.logs.formats.mat_tree import TO_STRUCT, ChannelSource, HiddenObject, Leaf, hidden_objects
 
 SUFFIXES = (".mat",)
 KIND = "a MATLAB file"
@@ -43,23 +39,63 @@ def read(path: Path, selection: ChannelSelection) -> Content:
         is_hdf5 = any(head[offset:].startswith(SIGNATURE) for offset in SIGNATURE_OFFSETS)
         with (_open_73 if is_hdf5 else _open_5)(path) as (tree, load_variables):
             sources, hidden = channels_of(tree), hidden_objects(tree, path.name)
-            clocked = {name for name, source in sources.items() if source.time}
             if hidden and not sources:
                 raise LogError(path, hidden)
             try:
-                matches = match_clocked_channels(path, list(sources), selection, clocked)
+                selected = _selected(path, sources, selection)
             except LogError as error:
                 if not hidden:
                     raise
                 raise LogError(path, f"{error.problem}; {hidden}", column=error.column) from error
-            selected = {requested: sources[name] for requested, name in matches.items()}
-            leaves = [leaf for c in selected.values() for leaf in (c.values, c.time) if leaf]
-            load_variables([leaf.variable for leaf in leaves if leaf.variable])
+            load_variables(_variables_of(selected.values()))
+            if any(source.from_period for source in selected.values()):
+                load_variables(_variables_of(sources.values()))
+                if rival := rival_time(sources, selected.values()):
+                    if selection.signals is not None:
+                        problem = (
+                            "rises like a time, but not as the sampling time of its record says; name a time"
+                        )
+                        raise LogError(path, problem, column=rival)
+                    selected = _without_periods(selected)
             channels = _channels(path, selected, strict=selection.signals is not None)
     notices = dict.fromkeys(source.note for source in selected.values() if source.note)
     if hidden and selection.signals is None:
         notices[f"left out: {hidden}"] = None
     return Content(path, channels, tuple(notices))
+
+
+def _selected(
+    path: Path, sources: Mapping[str, ChannelSource], selection: ChannelSelection
+) -> dict[str, ChannelSource]:
+    """Return requested name to source; a time that is named goes before one from a sampling time."""
+    known = dict(sources)
+    if selection.signals is not None:
+        known |= {
+            source.alias: source for source in sources.values() if source.alias and source.alias not in known
+        }
+    clocked = {name for name, source in known.items() if source.time}
+    # Entries of cells and arrays may have short names like those of the plain structs beside them.
+    plain = [name for name in known if selection.signals is None or not is_entry(name)]
+    try:
+        matches = match_clocked_channels(path, plain, selection, clocked)
+    except LogError:
+        matches = match_clocked_channels(path, list(known), selection, clocked)
+    selected = {requested: known[name] for requested, name in matches.items()}
+    is_named = selection.signals is not None and selection.time in matches
+    return _without_periods(selected) if is_named else selected
+
+
+def _without_periods(sources: Mapping[str, ChannelSource]) -> dict[str, ChannelSource]:
+    """Return channels without the clocks that a sampling time gives."""
+    bare = {"time": None, "note": None}
+    return {
+        name: source._replace(**bare) if source.from_period else source for name, source in sources.items()
+    }
+
+
+def _variables_of(sources: Iterable[ChannelSource]) -> list[str]:
+    leaves = [leaf for source in sources for leaf in (source.values, source.time) if leaf]
+    return [leaf.variable for leaf in leaves if leaf.variable]
 
 
 def _channels(path: Path, selected: Mapping[str, ChannelSource], *, strict: bool) -> dict[str, LogChannel]:
@@ -207,7 +243,7 @@ def _declared(path: Path, stream: BinaryIO, order: str, kind: int, length: int) 
     if array_class != "sparse" and count > max(length, MAX_EMPTY_STRUCTS):
         raise LogError(path, f"cannot be read as {KIND_5}: {length} bytes declare {count} values")
     name, _ = _text_at(head, 24 + -(-4 * rank // 8) * 8, order)
-    return _Variable(name, shape, "logical" if is_logical else array_class)
+    return _Variable(name, shape, "logical" if is_logical and array_class != "sparse" else array_class)
 
 
 def _text_at(head: bytes, start: int, order: str) -> tuple[str, int]:
@@ -241,12 +277,15 @@ def _node_5(value: Any) -> object:
     if not isinstance(value, np.ndarray) or isinstance(value, MatlabFunction):
         return None
     if value.dtype.names is not None:
-        structs = [{name: _node_5(struct[name]) for name in value.dtype.names} for struct in value.ravel()]
+        # Column by column, as MATLAB counts.
+        entries = value.ravel(order="F")
+        structs = [{name: _node_5(struct[name]) for name in value.dtype.names} for struct in entries]
         return structs[0] if len(structs) == 1 else structs
     if value.dtype.kind == "O":
-        return [_node_5(entry) for entry in value.ravel()]
-    if value.dtype.kind == "U":
-        return str(value[0]) if value.size == 1 else None
+        return [_node_5(entry) for entry in value.ravel(order="F")]
+    if value.dtype.kind == "U":  # a matrix of letters is a text a row
+        texts = [str(text).strip() for text in value.ravel()]
+        return texts[0] if len(texts) == 1 else texts
     return Leaf(value.shape, lambda: value) if value.dtype.kind in "fiub" else None
 
 
@@ -255,6 +294,7 @@ def _node_5(value: Any) -> object:
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 SIGNATURE_OFFSETS = (0, 512)  # bytes; MATLAB puts a header of 512 bytes in front
 MAX_DEPTH = 30  # nested structs; chosen
+MAX_NODES = 20_000  # fields and entries of cells in a file; chosen
 NON_NUMERIC_CLASSES = ("char", "cell", "struct", "function_handle", "string", "categorical")
 MCOS = 3  # value of MATLAB_object_decode at a reference to an object of a class
 
@@ -264,12 +304,15 @@ def _open_73(path: Path) -> Iterator[tuple[Mapping[str, object], LoadVariables]]
     """Open a MATLAB 7.3 file: the tree of its content, whose leaves load themselves."""
     h5py = import_optional("h5py", "hdf5", path)
     with h5py.File(path, "r") as file:
-        yield _fields(_Reader(h5py, path), file, 0), lambda _: None
+        yield _fields(_Reader(h5py, path, iter(range(MAX_NODES))), file, 0), lambda _: None
 
 
 class _Reader(NamedTuple):
+    """The library, the file, and how many more values may be looked at: references may form circles."""
+
     h5py: Any
     path: Path
+    budget: Iterator[int]
 
 
 class _Column(NamedTuple):
@@ -281,7 +324,7 @@ class _Column(NamedTuple):
 def _fields(reader: _Reader, group: Any, depth: int) -> dict[str, object]:
     fields: dict[str, object] = {}
     for name in group if depth < MAX_DEPTH else ():
-        if name.startswith("#"):  # targets of references
+        if not isinstance(name, str) or name.startswith("#"):  # no name of MATLAB; targets of references
             continue
         link = group.get(name, getlink=True)
         if isinstance(link, reader.h5py.ExternalLink):
@@ -292,6 +335,8 @@ def _fields(reader: _Reader, group: Any, depth: int) -> dict[str, object]:
 
 
 def _node(reader: _Reader, item: Any, depth: int) -> object:
+    if next(reader.budget, None) is None:
+        raise LogError(reader.path, f"holds more than {MAX_NODES} fields and entries of cells")
     if isinstance(item, reader.h5py.Group):
         if "MATLAB_sparse" in item.attrs:
             return None
@@ -313,12 +358,17 @@ def _array(reader: _Reader, item: Any, depth: int) -> object:
     if "MATLAB_empty" in item.attrs or item.shape is None:
         return None
     if kind == "char" and item.dtype.kind == "u" and item.ndim == 2:
-        return "".join(map(chr, item[()].ravel().tolist())) if min(item.shape) == 1 else None
-    if item.attrs.get("MATLAB_object_decode") == MCOS or kind in TO_STRUCT:
+        rows = item[()].T if min(item.shape) > 1 else item[()].reshape(1, -1)  # MATLAB stores the transpose
+        texts = ["".join(map(chr, row.tolist())).strip() for row in rows]
+        return texts[0] if len(texts) == 1 else texts
+    if kind in TO_STRUCT or np.array_equal(item.attrs.get("MATLAB_object_decode"), MCOS):
         return HiddenObject(kind)
-    if kind in ("", "cell") and item.dtype == reader.h5py.ref_dtype and depth < MAX_DEPTH:
-        nodes = [_node(reader, item.file[reference], depth + 1) for reference in item[()].ravel()]
-        # Without a class: one field of an array of structs.
+    if kind in ("", "cell") and item.dtype == reader.h5py.ref_dtype:
+        # Of a long cell nobody made a log: dates, mostly. Without a class: one field of an array of structs.
+        if depth >= MAX_DEPTH or (kind == "cell" and item.size > MAX_COLUMNS):
+            return None
+        references = np.ravel(item[()])
+        nodes = [_node(reader, item.file[ref], depth + 1) if ref else None for ref in references]
         return nodes if kind == "cell" else _Column(nodes)
     if item.dtype.kind in NUMERIC_KINDS and kind not in NON_NUMERIC_CLASSES:
         # MATLAB stores the transpose.
