@@ -33,7 +33,7 @@ LABELS = {
 # s and sampling times, the longer counts: between experiments of one file, more than any gap that is closed.
 EXPERIMENTS_APART_S, EXPERIMENTS_APART_STEPS = 10.0, 100
 SAME_STEP = 1e-3  # largest share by which sampling times of experiments may differ: rounding of clocks
-EVEN, EVEN_SHARE = 0.5, 0.9  # largest deviation of a step from the median; share of such steps of a time
+EVEN, EVEN_SHARE = 0.2, 0.9  # largest deviation of a step from the median; share of such steps of a time
 SAME_TIME = 0.5  # sampling times by which a vector may differ from a clock and be the same
 
 
