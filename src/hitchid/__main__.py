@@ -42,8 +42,15 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(GC_THRESHOLD)
     try:
-        from hitchid.cli import main as run
-
+        try:
+            from hitchid.cli import main as run
+        except ModuleNotFoundError as error:
+            if (error.name or "hitchid").partition(".")[0] == "hitchid":
+                raise
+            sys.stderr.write(
+                f"hitchid: the package {error.name} is missing; run: pip install --upgrade hitchid\n"
+            )
+            sys.exit(EXIT_FAILURE)
         run()
     except Interrupted:
         _exit_interrupted()

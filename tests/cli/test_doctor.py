@@ -6,7 +6,7 @@ import re
 import subprocess
 import sys
 import tomllib
-from importlib.metadata import PackageNotFoundError
+from importlib.metadata import EntryPoint, PackageNotFoundError
 from pathlib import Path
 
 import pytest
@@ -37,8 +37,8 @@ def test_a_missing_package_is_named_with_what_needs_it(monkeypatch, broken):
     result = hitchid("doctor")
     assert result.code == 1
     assert re.search(r"hitchid\[tdms\] +logs \.tdms +missing: nptdms", result.out)
-    found = "none" if broken == "missing" else "0.0.1"
-    assert f"fault: equinox: expected >=0.13, found {found}\n" in result.out
+    installed = "none" if broken == "missing" else "0.0.1"
+    assert f"fault: equinox: expected >=0.13, got {installed}\n" in result.out
 
 
 def test_an_extra_of_a_package_counts(monkeypatch):
@@ -54,20 +54,69 @@ def test_an_extra_of_a_package_counts(monkeypatch):
 
 
 def test_programs_that_are_missing_are_named(monkeypatch):
-    monkeypatch.setattr(doctor, "_programs", lambda: {"C compiler": None, "Octave": None})
+    monkeypatch.setattr(doctor, "_programs", lambda: ({"C compiler": None, "Octave": None}, []))
     result = hitchid("doctor")
     assert result.code == 0
     assert re.search(r"Octave +hitchid export: proof of MATLAB +missing\n", result.out)
 
 
-def test_jax_that_does_not_start_is_a_fault_without_its_text(monkeypatch):
-    def broken():
-        raise RuntimeError("/home/jane/lib/libcuda.so")
-
-    monkeypatch.setattr(doctor, "prepare_jax", broken)
+def test_a_program_that_does_not_start_is_told(monkeypatch):
+    monkeypatch.setenv("CC", "'never closed")
     result = hitchid("doctor")
-    assert (result.code, "jane" in result.out) == (1, False)
-    assert "fault: JAX does not start: RuntimeError\n" in result.out
+    assert result.code == 0
+    assert "notice: CC names a program that does not start; another one is used, if any\n" in result.out
+
+
+@pytest.mark.parametrize("wrong", [{"XLA_FLAGS": "--bogus=/home/jane"}, {"JAX_ENABLE_X64": "jane"}])
+def test_settings_that_end_jax_are_a_fault_without_their_text(wrong, monkeypatch):
+    for name, value in wrong.items():
+        monkeypatch.setenv(name, value)
+    devices, problems = doctor._devices()
+    assert devices == []
+    assert re.fullmatch(r"JAX does not start: (its process ended with -?\d+|ValueError)", *problems)
+
+
+BLOCKED = """
+import sys
+class Blocker:
+    def find_spec(self, name, path=None, target=None):
+        if name == "{package}":
+            raise ModuleNotFoundError(name, name=name)
+sys.meta_path.insert(0, Blocker())
+sys.argv = ["hitchid", "doctor"]
+from hitchid.__main__ import main
+main()
+"""
+
+
+@pytest.mark.parametrize("package", ["equinox", "packaging", "typer"])
+def test_without_a_package_there_is_a_report_or_a_message(package):
+    program = [sys.executable, "-c", BLOCKED.format(package=package)]
+    done = subprocess.run(program, capture_output=True, text=True, check=False)  # noqa: S603
+    assert "Traceback" not in done.stdout + done.stderr
+    if package == "typer":
+        assert (done.returncode, done.stdout) == (1, "")
+        assert done.stderr == "hitchid: the package typer is missing; run: pip install --upgrade hitchid\n"
+    elif package == "packaging":
+        assert done.returncode == 1
+        assert "fault: packaging: expected any version, got none\n" in done.stdout
+    else:  # installed, but it cannot be imported: what needs it was left out
+        assert "notice: programs were not looked for: ModuleNotFoundError\n" in done.stdout
+
+
+def test_an_extension_that_cannot_be_imported_is_a_fault(monkeypatch):
+    entry = EntryPoint("broken", "no.such.module:thing", "hitchid.structures")
+    monkeypatch.setattr(doctor, "entry_points", lambda group: [entry] if group.endswith("structures") else [])
+    name = "structures: broken of an installed package"
+    assert doctor._extensions() == ([name], [f"{name}: cannot be imported: ModuleNotFoundError"])
+
+
+def test_a_cache_that_cannot_be_read_costs_nothing(monkeypatch):
+    def nowhere():
+        raise RuntimeError("no home")
+
+    monkeypatch.setattr(doctor, "cache_folder", nowhere)
+    assert "cache: cannot be read, not writable\n" in hitchid("doctor").out
 
 
 def test_nothing_of_the_user_is_shown(tmp_path):
@@ -75,6 +124,8 @@ def test_nothing_of_the_user_is_shown(tmp_path):
     home.mkdir()
     own = {"HOME": home, "USER": "jane-doe", "XDG_CACHE_HOME": home / "cache", "CC": home / "cc"}
     own |= {"XLA_FLAGS": f"--xla_dump_to={home}", "OCTAVE": home / "octave"}
+    (home / "cc").write_text("#!/bin/sh\necho jane-doe cc built in /home/jane-doe 1.0\n")
+    (home / "cc").chmod(0o755)
     for options in ([], ["--json"]):
         done = subprocess.run(  # noqa: S603
             [sys.executable, "-m", "hitchid", "doctor", *options],

@@ -3,14 +3,17 @@
 import json
 import os
 import platform
-from collections.abc import Iterator
+import re
+import shlex
+import shutil
+import subprocess
+import sys
 from importlib.metadata import PackageNotFoundError, distribution, entry_points, version
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from hitchid._support.jax_setup import cache_folder, prepare_jax
+from hitchid._support.jax_setup import cache_folder
 from hitchid.cli import options
 
 if TYPE_CHECKING:
@@ -39,8 +42,19 @@ PROGRAMS = {
 }
 GROUPS = ("structures", "baselines", "formats", "renderers")  # entry points of other packages
 # Variables that change what a run does. Values may hold names and places of the user, and are not shown.
-VARIABLES = ("CC", "HITCHID_PROGRESS", "JAX_COMPILATION_CACHE_DIR", "JAX_ENABLE_X64", "JAX_PLATFORMS")
-VARIABLES += ("OCTAVE", "OMP_NUM_THREADS", "XDG_CACHE_HOME", "XLA_FLAGS")
+VARIABLES = re.compile(
+    "(JAX|XLA|CUDA|HITCHID)_.*|CC|LD_LIBRARY_PATH|OCTAVE|OMP_NUM_THREADS|PYTHONPATH|XDG_CACHE_HOME"
+)
+# Of what a program says of itself only its kind and number are shown: the rest may be anything.
+KINDS = ("clang", "zig", "gcc", "Octave", "Debian", "cc")
+# A process of its own: wrong flags end it at once, and a driver may hang. Time limit in s; JAX starts in two.
+DEVICES = """
+from hitchid._support.jax_setup import prepare_jax
+prepare_jax()
+import jax, json
+print(json.dumps([[device.platform, device.device_kind] for device in jax.devices()]))
+"""
+LONGEST_START_S = 120.0
 
 
 def doctor(as_json: options.AsJson = False) -> None:
@@ -57,11 +71,15 @@ def doctor(as_json: options.AsJson = False) -> None:
 
 def examine() -> dict[str, Any]:
     """Return the state of this installation, as data for JSON."""
-    variables = [name for name in VARIABLES if name in os.environ]  # before JAX is given flags of ours
-    required, extras = _requirements()
-    devices, problem = _devices()
-    problems = [
-        f"{name}: expected {need['expected'] or 'any version'}, found {need['installed'] or 'none'}"
+    devices, problems = _devices()
+    try:
+        required, extras = _requirements()
+    except ModuleNotFoundError as error:  # of packaging, which compares versions
+        required, extras, problems = {}, {}, [*problems, f"{error.name}: expected any version, got none"]
+    programs, notes = _programs()
+    extensions, broken = _extensions()
+    problems += [
+        f"{name}: expected {need['expected'] or 'any version'}, got {need['installed'] or 'none'}"
         for name, need in required.items()
         if not need["fits"]
     ]
@@ -76,11 +94,12 @@ def examine() -> dict[str, Any]:
         "extras": {
             name: {"for": EXTRAS.get(name, ""), "packages": packages} for name, packages in extras.items()
         },
-        "programs": {name: {"for": PROGRAMS[name], "version": found} for name, found in _programs().items()},
-        "extensions": sorted(_extensions()),
+        "programs": {name: {"for": PROGRAMS[name], "version": number} for name, number in programs.items()},
+        "extensions": extensions,
         "cache": _cache(),
-        "environment": variables,
-        "problems": problems + ([problem] if problem else []),
+        "environment": sorted(filter(VARIABLES.fullmatch, os.environ)),
+        "notes": notes,
+        "problems": problems + broken,
     }
 
 
@@ -134,39 +153,81 @@ def _processors() -> dict[str, Any]:
     return {"installed": os.cpu_count(), "usable": usable, "memory_GiB": memory}
 
 
-def _devices() -> tuple[list[str], str | None]:
+def _devices() -> tuple[list[str], list[str]]:
     """Return the devices on which JAX computes, and why it does not start, if so."""
+    command = [sys.executable, "-c", DEVICES]
     try:
-        prepare_jax()
-        import jax
+        done = subprocess.run(  # noqa: S603
+            command, capture_output=True, text=True, errors="replace", timeout=LONGEST_START_S, check=False
+        )
+        if done.returncode == 0:
+            # Of a processor kind and platform are the same.
+            return [" ".join(dict.fromkeys(device)) for device in json.loads(done.stdout)], []
+        reason = next(reversed(done.stderr.splitlines()), "").partition(":")[0]
+        if not re.fullmatch(r"\w+(\.\w+)*Error", reason):  # anything else may hold a path
+            reason = f"its process ended with {done.returncode}"
+    except (OSError, ValueError, subprocess.TimeoutExpired) as error:
+        reason = type(error).__name__
+    return [], [f"JAX does not start: {reason}"]
 
-        # Of a processor both are the same.
-        return [" ".join(dict.fromkeys((d.platform, d.device_kind))) for d in jax.devices()], None
-    except Exception as error:  # whatever is broken: the report must tell it, and its text may hold paths
-        return [], f"JAX does not start: {type(error).__name__}"
 
-
-def _programs() -> dict[str, str | None]:
-    from hitchid.export.matlab import find_octave
-    from hitchid.export.verification import find_compiler
-
+def _programs() -> tuple[dict[str, str | None], list[str]]:
+    """Return kind and version of each program, and notes on those that are named and do not start."""
+    notes: list[str] = []
+    try:
+        from hitchid.export.matlab import find_octave
+        from hitchid.export.verification import find_compiler
+    except Exception as error:  # what is missing is among the problems
+        return dict.fromkeys(PROGRAMS), [f"programs were not looked for: {type(error).__name__}"]
     compiler, octave = find_compiler(), find_octave()
-    return {"C compiler": compiler and compiler.version, "Octave": octave and octave.version}
+    named = {"CC": compiler and compiler.command[0], "OCTAVE": octave and octave.program}
+    for variable, program in named.items():
+        if variable in os.environ and _first_word(os.environ[variable]) != program:
+            notes.append(f"{variable} names a program that does not start; another one is used, if any")
+    versions = {"C compiler": compiler and compiler.version, "Octave": octave and octave.version}
+    return {name: said and _kind_and_number(said) for name, said in versions.items()}, notes
 
 
-def _extensions() -> Iterator[str]:
+def _first_word(command: str) -> str | None:
+    """Return the program of a command line, where it is found."""
+    try:
+        words = shlex.split(command)
+    except ValueError:
+        return None
+    return shutil.which(words[0]) if words else None
+
+
+def _kind_and_number(said: str) -> str:
+    kind = next((kind for kind in KINDS if re.search(rf"\b{kind}\b", said)), "unknown")
+    number = re.search(r"\d+(\.\d+)+", said)
+    return f"{'gcc' if kind in ('Debian', 'cc') else kind} {number[0] if number else ''}".strip()
+
+
+def _extensions() -> tuple[list[str], list[str]]:
+    """Return what other packages register, and which of it cannot be imported."""
+    registered, broken = [], []
     for group in GROUPS:
         for entry in entry_points(group=f"hitchid.{group}"):
             package = f"{entry.dist.name} {entry.dist.version}" if entry.dist else "an installed package"
-            yield f"{group}: {entry.name} of {package}"
+            name = f"{group}: {entry.name} of {package}"
+            registered.append(name)
+            try:
+                entry.load()
+            except Exception as error:  # the code of another package may raise anything
+                broken.append(f"{name}: cannot be imported: {type(error).__name__}")
+    return sorted(registered), sorted(broken)
 
 
 def _cache() -> dict[str, Any]:
-    """Return how much is kept of earlier runs, and whether more can be."""
-    folder = cache_folder()
-    sizes = [path.stat().st_size for path in folder.rglob("*") if path.is_file()]
-    existing: Path = next(place for place in (folder, *folder.parents) if place.exists())
-    return {"files": len(sizes), "MB": round(sum(sizes) / 1e6, 1), "writable": os.access(existing, os.W_OK)}
+    """Return how much is kept of earlier runs, and whether more can be; nothing where it cannot be read."""
+    try:
+        folder = cache_folder()
+        sizes = [path.stat().st_size for path in folder.rglob("*") if path.is_file()]
+        existing = next(place for place in (folder, *folder.parents) if place.exists())
+        is_writable = existing.is_dir() and os.access(existing, os.W_OK)
+    except (OSError, RuntimeError):  # no home, no permission, another run that cleans up
+        return {"files": None, "MB": None, "writable": False}
+    return {"files": len(sizes), "MB": round(sum(sizes) / 1e6, 1), "writable": is_writable}
 
 
 def text_of(state: dict[str, Any]) -> str:
@@ -176,11 +237,12 @@ def text_of(state: dict[str, Any]) -> str:
     processors, cache = state["processors"], state["cache"]
     memory = f", {processors['memory_GiB']} GiB memory" if processors["memory_GiB"] else ""
     copy = " (development copy)" if state["installed_for_development"] else ""
+    size = "cannot be read" if cache["files"] is None else f"{cache['files']} files, {cache['MB']} MB"
     lines = [
         f"hitchid {state['hitchid']}{copy}, {state['python']}, {state['system']}",
         f"computes on: {', '.join(state['devices']) or 'nothing'}; "
         f"{processors['usable']} of {processors['installed']} processors{memory}",
-        f"cache: {cache['files']} files, {cache['MB']} MB, {'' if cache['writable'] else 'not '}writable",
+        f"cache: {size}, {'' if cache['writable'] else 'not '}writable",
         f"set in the environment: {', '.join(state['environment']) or 'nothing that matters'}",
         f"extensions: {'; '.join(state['extensions']) or 'none'}",
         "required: " + ", ".join(f"{name} {need['installed']}" for name, need in state["required"].items()),
@@ -193,7 +255,7 @@ def text_of(state: dict[str, Any]) -> str:
     for name, program in state["programs"].items():
         rows.append((name, program["for"], program["version"] or "missing"))
     table = Table("", ("part", "for", "state"), tuple(rows))
-    problems = [f"fault: {problem}" for problem in state["problems"]] or [
-        "Nothing that every command needs is missing."
-    ]
-    return "\n".join([*lines, table.text(), *problems])
+    notes = [f"notice: {note}" for note in state["notes"]]
+    problems = [f"fault: {problem}" for problem in state["problems"]]
+    verdict = [] if problems else ["Nothing that every command needs is missing."]
+    return "\n".join([*lines, table.text(), *notes, *problems, *verdict])

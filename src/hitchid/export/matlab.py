@@ -100,7 +100,12 @@ def find_octave() -> Octave | None:
         # One that is in the path may still not start.
         with suppress(OSError, subprocess.SubprocessError):
             done = subprocess.run(  # noqa: S603
-                [program, "--version"], capture_output=True, text=True, timeout=60.0, check=True
+                [program, "--version"],
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=60.0,
+                check=True,
             )
             if version := done.stdout.partition("\n")[0].strip():
                 return Octave(program, version)

@@ -147,6 +147,7 @@ def _run(
 
 COMMANDS = ("cc", "gcc", "clang")
 STANDARD = ("-std=c99", "-O2", "-ffp-contract=off")
+START_TIMEOUT_S = 30.0  # a compiler says its version at once; chosen
 COMPILE_TIMEOUT_S = 300.0  # the first program for another platform takes ziglang 90 s
 
 
@@ -185,7 +186,7 @@ class Compiler:
 
 def find_compiler() -> Compiler | None:
     """Return the compiler of `CC`, else the first of cc, gcc, clang and ziglang; None where there is none."""
-    candidates = [shlex.split(os.environ.get("CC", ""))] + [[name] for name in COMMANDS]
+    candidates = [_words(os.environ.get("CC", "")), *([name] for name in COMMANDS)]
     # Ziglang last: its first program takes a minute, that of a compiler of the system a moment.
     candidates.append(list(zig.command) if (zig := zig_compiler()) else [])
     for candidate in candidates:
@@ -195,11 +196,26 @@ def find_compiler() -> Compiler | None:
         # One that is in the path may still not start.
         with suppress(OSError, subprocess.SubprocessError):
             done = subprocess.run(  # noqa: S603
-                [*command, "--version"], capture_output=True, text=True, timeout=COMPILE_TIMEOUT_S, check=True
+                [*command, "--version"],
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=START_TIMEOUT_S,
+                check=True,
             )
             if version := done.stdout.partition("\n")[0].strip():
                 return Compiler(command, version)
     return None
+
+
+def _words(command: str) -> list[str]:
+    """Return program and arguments of a command line: all of it a path, or words as a shell has them."""
+    if shutil.which(command):
+        return [command]
+    try:
+        return shlex.split(command)
+    except ValueError:  # a quotation that is never closed
+        return []
 
 
 def zig_compiler() -> Compiler | None:
