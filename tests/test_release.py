@@ -75,6 +75,8 @@ def test_readmes_example_runs_in_a_fresh_environment(built, age, tmp_path):
     [
         ("## [Unreleased]\n\n- new\n\n## [0.3.0] - 2026-01-01\n", "expected nothing unreleased, got '- new'"),
         ("## [Unreleased]\n\n## [0.2.0] - 2026-01-01\n", r"expected '## \[0\.3\.0\] - YYYY-MM-DD'"),
+        ("## [Unreleased]\n\n## [0.3.0] - 2026-13-45\n", "expected a day for 0.3.0, got '2026-13-45'"),
+        ("## Unreleased\n\n* new\n\n## [0.3.0] - 2026-01-01\n", r"nothing unreleased, got '\* new'"),
         ("## [Unreleased]\n", r"expected '## \[0\.3\.0\] - YYYY-MM-DD'"),
     ],
 )
@@ -99,11 +101,17 @@ def test_versions_of_the_pages_are_listed_from_the_newest_on(tmp_path, monkeypat
     own, _ = release.stated_version(ROOT)
     built = []
     monkeypatch.setattr(site, "build", lambda tree, out, version, newest: built.append((version, newest)))
-    monkeypatch.setattr(site, "git", lambda *said: "v0.1.9\nv0.1.10\nvnext\n" if said[0] == "tag" else "")
+    tags = {"--list": "v0.1.9\nv0.1.10\nvnext\n", "--points-at": ""}
+    monkeypatch.setattr(site, "git", lambda *said: tags.get(said[1], "") if said[0] == "tag" else "")
     site.main(tmp_path)
     assert built == [(own, own), ("0.1.10", own), ("0.1.9", own)]
     listed = re.findall(r'<a href="(\S+)/index\.html">', (tmp_path / "index.html").read_text())
     assert listed == [own, "0.1.10", "0.1.9"]
+    # After the release of this version the tree is another one.
+    built.clear()
+    tags["--list"] += f"v{own}\n"
+    site.main(tmp_path)
+    assert built == [(own, own), ("0.1.10", own), ("0.1.9", own), ("next", own)]
 
 
 def test_a_file_that_is_too_large_is_no_release(built, monkeypatch):

@@ -28,7 +28,8 @@ VERSIONS = ("3.11", "3.12", "3.13", "3.14")
 MAX_BYTES = 2_000_000  # of each file
 TESTS = 4  # a direction, of the virtual bench: the fewest from which a model and a verdict come in a minute
 SBOM_TOOL = "cyclonedx-bom==7.5.0"
-ENVIRONMENT = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+OF_OURS = ("PYTHON", "JAX_", "XLA_", "HITCHID_")  # variables that change what a run does
+ENVIRONMENT = {name: value for name, value in os.environ.items() if not name.startswith(OF_OURS)}
 
 
 class ReleaseError(Exception):
@@ -40,24 +41,33 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tools.release")
     parser.add_argument("--pinned", action="store_true", help="install the versions of pins.txt")
     pinned, out = parser.parse_args().pinned, ROOT / "dist"
-    shutil.rmtree(out, ignore_errors=True)
     try:
+        if changed := run(["git", "status", "--porcelain"], ROOT):
+            raise ReleaseError(f"expected a tree without changes, got {changed.splitlines()[0].strip()}")
         version, date = stated_version(ROOT)
+        found = pythons()
+        if VERSIONS[0] not in found:
+            raise ReleaseError(
+                f"expected Python {VERSIONS[0]} to try it on, got {', '.join(found) or 'none'}"
+            )
         say(f"version {version} of {date:%Y-%m-%d}, {tag_of(version)}")
         with tempfile.TemporaryDirectory() as place:
             first, second = (build(ROOT, Path(place) / name, date) for name in ("a", "b"))
             check_same(first, second)
+            shutil.rmtree(out, ignore_errors=True)
             out.mkdir()
             built = [Path(shutil.copy2(path, out)) for path in first]
             say(f"two builds in two folders are equal: {', '.join(path.name for path in built)}")
             wheel = built[-1]
             check_metadata(wheel, version)
             say(f"metadata are valid; {', '.join(f'{path.stat().st_size / 1e6:.2f} MB' for path in built)}")
-            for name, python in pythons().items():
+            for name, python in found.items():
                 program = try_out(wheel, python, Path(place) / f"python{name}", pinned=pinned)
                 say(f"Python {name}: installed, and README's example ran")
             write_sbom(program, out / f"hitchid-{version}.cdx.json", Path(place) / "sbom")
         say(f"hashes: {write_hashes(out).name}; bill of materials of Python {name}")
+        if missing := [name for name in VERSIONS if name not in found]:
+            say(f"not tried, for it is not installed here: Python {', '.join(missing)}")
     except ReleaseError as error:
         say(f"no release: {error}")
         return 1
@@ -100,10 +110,13 @@ def stated_version(root: Path) -> tuple[str, datetime]:
     newest = re.search(r"^## \[(\d+\.\d+\.\d+)\] - (\d{4}-\d{2}-\d{2})$", text, re.MULTILINE)
     if newest is None or newest[1] != version:
         raise ReleaseError(f"CHANGELOG.md: expected '## [{version}] - YYYY-MM-DD' as the newest version")
-    unreleased = text[: newest.start()].partition("## [Unreleased]")[2].strip()
+    unreleased = re.findall(r"^ *[-*] .*$", text[: newest.start()], re.MULTILINE)
     if unreleased:
-        raise ReleaseError(f"CHANGELOG.md: expected nothing unreleased, got '{unreleased.splitlines()[0]}'")
-    return version, datetime.fromisoformat(newest[2]).replace(tzinfo=UTC)
+        raise ReleaseError(f"CHANGELOG.md: expected nothing unreleased, got '{unreleased[0]}'")
+    try:
+        return version, datetime.fromisoformat(newest[2]).replace(tzinfo=UTC)
+    except ValueError as error:
+        raise ReleaseError(f"CHANGELOG.md: expected a day for {version}, got '{newest[2]}'") from error
 
 
 def tag_of(version: str) -> str:
@@ -121,7 +134,12 @@ def build(root: Path, place: Path, date: datetime) -> tuple[Path, Path]:
     tree.mkdir(parents=True)
     for name in ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "SECURITY.md"):
         shutil.copy(root / name, tree)
-    shutil.copytree(root / "src", tree / "src", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in run(
+        ["git", "ls-files", "--cached", "--others", "--exclude-standard", "src"], root
+    ).splitlines():
+        if (root / name).is_file():
+            (tree / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(root / name, tree / name)
     stamped = ENVIRONMENT | {"SOURCE_DATE_EPOCH": str(int(date.timestamp()))}
     hatch = [sys.executable, "-m", "hatchling", "build", "-d", out, "-t"]
     run([*hatch, "sdist"], tree, stamped)
@@ -172,6 +190,7 @@ def pythons() -> dict[str, Path]:
     for version in VERSIONS:
         in_path = shutil.which(f"python{version}")
         candidates = [*sorted(pyenv.glob(f"{version}.*/bin/python")), *([Path(in_path)] if in_path else [])]
+        candidates.append(Path(sys.base_prefix) / "bin" / f"python{version}")  # of this environment
         program = next((python for python in candidates if _is_version(python, version)), None)
         if program is not None:
             programs[version] = program
@@ -180,6 +199,8 @@ def pythons() -> dict[str, Path]:
 
 def _is_version(python: Path, version: str) -> bool:
     """Return whether a file is a Python of a version that starts; a shim may lead to none."""
+    if not python.is_file():
+        return False
     program = "import sys; print('%d.%d' % sys.version_info[:2])"
     done = subprocess.run([python, "-c", program], capture_output=True, text=True, check=False)  # noqa: S603
     return done.returncode == 0 and done.stdout.strip() == version

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+ABOVE = "folder-of-all-versions/"  # in links, until a page is written
 LIST = """<!doctype html>
 <html lang="en">
 <head>
@@ -34,20 +35,22 @@ LIST = """<!doctype html>
 
 
 def main(out: Path) -> None:
-    """Build all versions into a folder."""
+    """Build all versions into a folder; a tree that is past the tag of its version is the next one."""
     own = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     tags = [tag for tag in git("tag", "--list", "v*").split() if re.fullmatch(r"v\d+\.\d+\.\d+", tag)]
-    versions = sorted(
+    is_past = f"v{own}" in tags and f"v{own}" not in git("tag", "--points-at", "HEAD").split()
+    released = sorted(
         {own, *(tag[1:] for tag in tags)}, key=lambda v: tuple(map(int, v.split("."))), reverse=True
     )
+    versions = [*released, *(["next"] if is_past else [])]
     for version in versions:
-        if version == own:
-            build(ROOT, out, version, versions[0])
+        if version == ("next" if is_past else own):
+            build(ROOT, out, version, released[0])
             continue
         with tempfile.TemporaryDirectory() as place:
             git("worktree", "add", "--detach", place, f"v{version}")
             try:
-                build(Path(place), out, version, versions[0])
+                build(Path(place), out, version, released[0])
             finally:
                 git("worktree", "remove", "--force", place)
     write_list(out, versions)
@@ -60,15 +63,19 @@ def git(*arguments: str) -> str:
 
 
 def build(tree: Path, out: Path, version: str, newest: str) -> None:
-    """Build the pages of a tree from its own sources; those of an old version say so on every page."""
+    """Build the pages of a tree from its own sources; those of another version than the newest say so."""
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", "-b", "html"]
     command += ["-D", f"version={version}", "-D", f"release={version}", "-D", f"html_title=hitchid {version}"]
     if version != newest:
-        link = f'<a href="../{newest}/index.html">{newest}</a>'
-        command += ["-D", f"html_theme_options.announcement=Version {version}. The newest is {link}."]
+        link = f'<a href="{ABOVE}{newest}/index.html">{newest}</a>'
+        command += ["-D", f"html_theme_options.announcement=Version {version}. The newest release is {link}."]
     paths = [str(tree / "docs"), str(out / version)]
     environment = os.environ | {"PYTHONPATH": str(tree / "src")}
     subprocess.run([*command, *paths], check=True, env=environment)  # noqa: S603
+    # The theme has one announcement for all pages; the way up depends on the page.
+    for page in (out / version).rglob("*.html"):
+        up = "../" * len(page.relative_to(out).parts[:-1])
+        page.write_text(page.read_text().replace(ABOVE, up))
 
 
 def write_list(out: Path, versions: Sequence[str]) -> None:

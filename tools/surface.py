@@ -8,10 +8,12 @@ import argparse
 import inspect
 import re
 import sys
+import tomllib
 from collections.abc import Iterator
+from enum import Enum
 from importlib import import_module
 from pathlib import Path
-from typing import get_args
+from typing import get_args, get_type_hints
 
 from pydantic import BaseModel
 from typer.main import get_command
@@ -43,15 +45,30 @@ def surface() -> dict[str, str]:
 
 def _commands() -> Iterator[tuple[str, str]]:
     group = get_command(app)
-    commands = dict(group.commands)
+    commands = {"": group, **{f" {name}": command for name, command in group.commands.items()}}
     for name, command in group.commands.items():
-        commands |= {f"{name} {inner}": part for inner, part in getattr(command, "commands", {}).items()}
+        commands |= {f" {name} {inner}": part for inner, part in getattr(command, "commands", {}).items()}
     for name, command in commands.items():
         arguments = " ".join(p.name.upper() for p in command.params if p.param_type_name == "argument")
-        yield f"hitchid {name}", arguments
+        yield f"hitchid{name}", arguments
+        callback = getattr(command, "callback", None)
+        hints = get_type_hints(inspect.unwrap(callback)) if callback else {}
         for parameter in command.params:
             if parameter.param_type_name == "option":
-                yield f"hitchid {name} {parameter.opts[0]}", ""
+                choices = [
+                    e
+                    for e in _parts(hints.get(parameter.name))
+                    if isinstance(e, type) and issubclass(e, Enum)
+                ]
+                values = "|".join(str(member.value) for choice in choices for member in choice)
+                other = [*parameter.opts[1:], *parameter.secondary_opts]
+                yield f"hitchid{name} {parameter.opts[0]}", " ".join([*other, *([values] if values else [])])
+
+
+def _parts(annotation: object) -> Iterator[object]:
+    yield annotation
+    for argument in get_args(annotation):
+        yield from _parts(argument)
 
 
 def _python() -> Iterator[tuple[str, str]]:
@@ -67,13 +84,22 @@ def _python() -> Iterator[tuple[str, str]]:
     for name in dict.fromkeys(documented):
         thing = _resolve(name)
         yield name, _signature(thing)
-        for method, own in vars(thing).items() if isinstance(thing, type) else ():
-            if not method.startswith("_") and inspect.isfunction(
-                inspect.unwrap(getattr(own, "__func__", own))
-            ):
-                yield f"{name}.{method}", _signature(own)
-            elif not method.startswith("_") and isinstance(own, property):
-                yield f"{name}.{method}", ""
+        if isinstance(thing, type):
+            yield from ((f"{name}.{member}", text) for member, text in _members(thing))
+
+
+def _members(kind: type) -> Iterator[tuple[str, str]]:
+    """Yield methods, properties and constants of a class and of its ancestors in this package."""
+    if issubclass(kind, Enum):
+        yield from ((member.name, "") for member in kind)
+        return
+    own = [cls for cls in kind.__mro__ if cls.__module__.startswith("hitchid")]
+    for name in sorted({name for cls in own for name in vars(cls)}):
+        member = inspect.getattr_static(kind, name)
+        if name != "__getitem__" and (name.startswith("_") or isinstance(member, type)):
+            continue
+        method = inspect.unwrap(getattr(member, "__func__", member))
+        yield name, _signature(method) if inspect.isroutine(method) else ""
 
 
 def _resolve(name: str) -> object:
@@ -88,6 +114,8 @@ def _resolve(name: str) -> object:
 
 def _signature(thing: object) -> str:
     """Return the parameters by name; `=` for an optional one. Annotations and defaults may change."""
+    if isinstance(thing, type) and issubclass(thing, Enum):
+        return ""  # its own, which differs between versions of Python
     try:
         parameters = inspect.signature(getattr(thing, "__func__", thing)).parameters.values()  # type: ignore[arg-type]
     except (TypeError, ValueError):
@@ -146,10 +174,19 @@ def _is_part(name: str, kind: str, names: dict[str, str]) -> bool:
 
 
 def unmentioned(changed: dict[str, str], changelog: str) -> list[str]:
-    """Return the changed names whose last part stands in no unreleased line of a changelog, as code."""
+    """Return the changed names that stand in no unreleased line of a changelog as code.
+
+    The last part suffices, `to_matlab`; of an option it stands beside its command, `hitchid export --to`.
+    """
     unreleased = changelog.partition("## [Unreleased]")[2].partition("\n## [")[0]
-    code = set(re.findall(r"[\w-]+", " ".join(re.findall(r"`([^`]+)`", unreleased))))
-    return [name for name in changed if re.findall(r"[\w-]+", name)[-1] not in code]
+    spans = [set(re.findall(r"[\w-]+", span)) for span in re.findall(r"`([^`]+)`", unreleased)]
+    missing = []
+    for name in changed:
+        words = re.findall(r"[\w-]+", name)
+        needed = set(words[-2:]) if words[-1].startswith("-") else {words[-1]}
+        if not any(needed <= span for span in spans):
+            missing.append(name)
+    return missing
 
 
 def main() -> int:
@@ -158,7 +195,8 @@ def main() -> int:
     parser.add_argument("--release", action="store_true", help="write the surface as that of this version")
     now = surface()
     if parser.parse_args().release:
-        lines = [hitchid.__version__, *(f"{name}\t{signature}".rstrip() for name, signature in now.items())]
+        version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+        lines = [version, *(f"{name}\t{signature}".rstrip() for name, signature in now.items())]
         RELEASED.write_text("\n".join(lines) + "\n")
         return 0
     version, before = released()

@@ -24,7 +24,10 @@ def test_commands_names_and_keys_are_on_the_surface():
     now = surface.surface()
     assert now["hitchid export"] == "MODEL"
     assert now["hitchid.export.to_matlab"] == "(model, folder, *, name=, compensators=, controller=, force=)"
-    assert {"hitchid fleet identify --out", "campaign.toml: signals.time", "hitchid.Hitch.save"} <= now.keys()
+    assert now["hitchid export --to"] == "c|matlab|fmu2|fmu3|onnx"
+    inherited = {"hitchid.Hitch.linearise", "hitchid.Hitch.dynamics", "hitchid.Campaign.__getitem__"}
+    assert {"hitchid --version", "hitchid fleet identify --out", "campaign.toml: signals.time"} <= now.keys()
+    assert inherited <= now.keys()
 
 
 @pytest.mark.parametrize(
@@ -45,7 +48,14 @@ def test_a_change_is_told_once(now, expected):
 
 @pytest.mark.parametrize(
     ("line", "missing"),
-    [("- `hitchid a --x` is new.", []), ("- x is new.", ["--x"]), ("", ["--x"]), ("- `--xy`", ["--x"])],
+    [
+        ("- `hitchid a --x` is new.", []),
+        ("- `--x` of `hitchid a`", ["--x"]),
+        ("- `hitchid b --x` is new.", ["--x"]),
+        ("- x is new.", ["--x"]),
+        ("", ["--x"]),
+        ("- `hitchid a --xy`", ["--x"]),
+    ],
 )
 def test_only_an_unreleased_line_that_names_it_mentions_a_change(line, missing):
     changelog = f"## [Unreleased]\n\n{line}\n\n## [0.1.0] - 2020-01-01\n\n- `--x`, `x`\n"
