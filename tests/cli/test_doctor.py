@@ -134,13 +134,7 @@ def test_nothing_of_the_user_is_shown(tmp_path):
             text=True,
             check=True,
         )
-        for secret in (
-            "jane",
-            str(tmp_path),
-            sys.prefix,
-            str(Path(doctor.__file__).parents[3]),
-            os.uname().nodename,
-        ):
+        for secret in ("jane", str(tmp_path), sys.prefix, str(Path(doctor.__file__).parents[3])):
             assert secret not in done.stdout + done.stderr
     state = json.loads(done.stdout)
     assert {"CC", "OCTAVE", "XDG_CACHE_HOME", "XLA_FLAGS"} <= set(state["environment"])
