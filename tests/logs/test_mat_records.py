@@ -90,11 +90,14 @@ def test_a_time_that_is_named_goes_before_a_sampling_time(saved, stamps):
 
 
 def test_a_time_that_nobody_names_must_not_contradict_a_sampling_time(saved):
-    path = saved({"run": {**OWN, "tout": 3.0 * TIME_S}})
-    with pytest.raises(LogError, match="'run/tout': rises like a time, but not as the sampling time"):
+    path = saved({"run": {**OWN, "TimeUnit": "s", "tout": 3.0 * TIME_S}})
+    with pytest.raises(LogError, match="'run/tout': rises like a time, which the sampling time"):
         read(path, ChannelSelection("time_s", ("u(:,1)", "y")))
     assert {channel.clock_s is None for channel in read(path, ALL).channels.values()} == {True}
-    assert read(saved({"run": {**OWN, "t": TIME_S + 7.0}}), ALL).channels["run/y"].clock_s is not None
+    agreeing = {**OWN, "t": TIME_S + 7.0}
+    assert read(saved({"run": {**agreeing, "TimeUnit": "s"}}), ALL).channels["run/y"].clock_s is not None
+    # Without a unit both may be in ms.
+    assert read(saved({"run": agreeing}), ALL).channels["run/y"].clock_s is None
 
 
 WITHOUT = ({"Ts": 0.0}, {"Ts": np.nan}, {"Ts": "fast"}, {"Ts": None}, {"Domain": "Frequency"})

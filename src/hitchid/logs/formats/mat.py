@@ -53,7 +53,7 @@ def read(path: Path, selection: ChannelSelection) -> Content:
                 if rival := rival_time(sources, selected.values()):
                     if selection.signals is not None:
                         problem = (
-                            "rises like a time, but not as the sampling time of its record says; name a time"
+                            "rises like a time, which the sampling time beside it does not settle; name it"
                         )
                         raise LogError(path, problem, column=rival)
                     selected = _without_periods(selected)

@@ -67,7 +67,8 @@ def experiments(name: str, node: Mapping[str, object]) -> Record:
         labels, units = (texts_of(node.get(text), len(columns)) for text in stated)
         for (column, leaf), label, channel_unit in zip(columns, labels, units, strict=True):
             alias = column if field in LABELS else None
-            channel = ChannelSource(leaf, channel_unit or None, clock, "s", note, is_from_period, alias)
+            time_unit = "s" if unit else None  # None: s by assumption alone
+            channel = ChannelSource(leaf, channel_unit or None, clock, time_unit, note, is_from_period, alias)
             pairs.append((join(name, label) if label else column, channel))
         # What `get` returns under two names is one thing.
         same = next((names for names in (INPUTS, OUTPUTS) if field in names), (field,))
@@ -136,7 +137,7 @@ def _joined(tables: Sequence[Leaf]) -> Leaf:
 
 
 def rival_time(sources: Mapping[str, ChannelSource], selected: Iterable[ChannelSource]) -> str | None:
-    """Return a vector that rises like a time, but not as the sampling time beside it says, if any."""
+    """Return a vector that rises like a time, beside a sampling time that it contradicts or without unit."""
     clocks = {id(source.time): source.time for source in selected if source.from_period and source.time}
     for name, source in sources.items():
         clock = clocks.get(id(source.time))
@@ -151,6 +152,6 @@ def rival_time(sources: Mapping[str, ChannelSource], selected: Iterable[ChannelS
             and np.mean(np.abs(steps / np.median(steps) - 1) < EVEN) > EVEN_SHARE
         ):
             differing = np.abs(stamps - stamps[0] - (clock_s - clock_s[0]))
-            if np.max(differing) > SAME_TIME * np.median(np.diff(clock_s)):
+            if source.time_unit is None or np.max(differing) > SAME_TIME * np.median(np.diff(clock_s)):
                 return name
     return None
