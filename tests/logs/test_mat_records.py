@@ -240,6 +240,22 @@ def test_a_time_series_whose_unit_of_time_is_hidden_says_what_is_assumed(saved):
     )
 
 
+def test_a_unit_that_the_user_knows_goes_before_an_assumed_one(saved):
+    path = saved({"s": {"Time": TIME_S * 1000, "Data": STROKE, "DataInfo": {"Units": "mm"}}})
+    channels = read(path, ChannelSelection("s/Time", ("s/Data",))).channels
+    assert {(channel.unit, channel.clock_s) for channel in channels.values()} == {(None, None), ("mm", None)}
+    instants = {"SamplingInstants": TIME_S * 1000, "u": LIFTING, "y": STROKE}
+    channels = read(saved({"r": instants}), ChannelSelection("SamplingInstants", ("u", "y"))).channels
+    assert [channel.clock_s for channel in channels.values()] == [None] * 3
+
+
+def test_a_name_that_a_field_has_stays_the_fields(saved):
+    path = saved({"r": {**OWN, "u": LIFTING, "InputName": "y", "OutputName": "oil", "oil": LOWERING}})
+    channels = read(path, ALL).channels
+    for name, samples in {"r/u": LIFTING, "r/y": STROKE, "r/oil": LOWERING}.items():
+        np.testing.assert_array_equal(channels[name].values, samples)
+
+
 def test_time_and_data_alone_may_be_in_any_unit(saved):
     channels = read(saved({"run": {"Time": TIME_S, "Data": STROKE}}), ALL).channels
     assert [channel.clock_s for channel in channels.values()] == [None, None]

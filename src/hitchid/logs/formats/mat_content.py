@@ -116,9 +116,12 @@ def _time_series(name: str, node: Mapping[str, object]) -> Record:
     stamps = join(name, "Time")
     note = None if time_unit else f"{stamps}: its unit is hidden; taken for s, which is a timeseries' default"
     columns = [pair for pair in columns_of(join(name, "Data"), data) if length_of(pair[1]) == length_of(time)]
-    clocked = partial(ChannelSource, time=time, time_unit=time_unit or "s", note=note)
-    pairs = [(stamps, clocked(time, time_unit or "s"))]
-    return ("Time", "Data"), pairs + [(column, clocked(leaf, unit)) for column, leaf in columns]
+    # An assumed unit goes after one that the user states.
+    is_assumed = time_unit is None
+    clocked = partial(ChannelSource, time=time, time_unit=time_unit or "s", note=note, from_period=is_assumed)
+    pairs = [(stamps, clocked(time, time_unit, alias=stamps))]
+    pairs += [(column, clocked(leaf, unit, alias=column)) for column, leaf in columns]
+    return ("Time", *(["Data"] if columns else [])), pairs
 
 
 def _is_control_desk(node: object) -> bool:

@@ -62,6 +62,7 @@ def experiments(name: str, node: Mapping[str, object]) -> Record:
         leaves = leaves_of(node.get(field))
         if field in used or field == "SamplingInstants" or lengths_of(node.get(field)) != lengths:
             continue
+        same = next((names for names in (INPUTS, OUTPUTS) if field in names), (field,))
         columns = columns_of(join(name, field), _joined(leaves))
         stated = [first_of(node, fields) or "" for fields in LABELS.get(field, ((), ()))]
         labels, units = (texts_of(node.get(text), len(columns)) for text in stated)
@@ -69,12 +70,14 @@ def experiments(name: str, node: Mapping[str, object]) -> Record:
             alias = column if field in LABELS else None
             time_unit = "s" if unit else None  # None: s by assumption alone
             channel = ChannelSource(leaf, channel_unit or None, clock, time_unit, note, is_from_period, alias)
-            pairs.append((join(name, label) if label else column, channel))
+            # A name that another field has stays that field's.
+            is_free = label not in node or label in same
+            pairs.append((join(name, label) if label and is_free else column, channel))
         # What `get` returns under two names is one thing.
-        same = next((names for names in (INPUTS, OUTPUTS) if field in names), (field,))
         shapes = [leaf.shape for leaf in leaves]
         used += [twin for twin in same if columns and [x.shape for x in leaves_of(node.get(twin))] == shapes]
-    return (*used, "SamplingInstants"), pairs
+    # Without a unit they may be wanted as the time, with one that the user knows.
+    return (*used, *(["SamplingInstants"] if unit else [])), pairs
 
 
 def _clock(node: Mapping[str, object], lengths: Sequence[int], unit: str) -> tuple[Leaf | None, bool]:
@@ -87,7 +90,7 @@ def _clock(node: Mapping[str, object], lengths: Sequence[int], unit: str) -> tup
     periods = [number_of(entry) for entry in entries_of(node.get(first_of(node, PERIODS) or ""), count)]
     starts = [number_of(entry) or 0.0 for entry in entries_of(node.get("Tstart"), count)]
     stated = [
-        entry if isinstance(entry, Leaf) and length_of(entry) == length else None
+        entry if isinstance(entry, Leaf) and length_of(entry) == length == np.prod(entry.shape) else None
         for entry, length in zip(instants, lengths, strict=True)
     ]
     if any(leaf is None and not (period or 0.0) > 0 for leaf, period in zip(stated, periods, strict=True)):
@@ -111,7 +114,7 @@ def _clock(node: Mapping[str, object], lengths: Sequence[int], unit: str) -> tup
 
     # Of several experiments the instants lie in a cell, which is loaded with its file.
     variable = stated[0].variable if stated[0] else None
-    return Leaf((sum(lengths),), load, variable), any(leaf is None for leaf in stated)
+    return Leaf((sum(lengths),), load, variable), not unit or any(leaf is None for leaf in stated)
 
 
 def _stated_time_unit(node: Mapping[str, object]) -> str | None:
