@@ -68,19 +68,21 @@ def _selected(
     path: Path, sources: Mapping[str, ChannelSource], selection: ChannelSelection
 ) -> dict[str, ChannelSource]:
     """Return requested name to source; a time that is named goes before one from a sampling time."""
-    known = dict(sources)
+    channels = dict(sources)
     if selection.signals is not None:
-        known |= {
-            source.alias: source for source in sources.values() if source.alias and source.alias not in known
+        channels |= {
+            source.alias: source
+            for source in sources.values()
+            if source.alias and source.alias not in channels
         }
-    clocked = {name for name, source in known.items() if source.time}
+    clocked = {name for name, source in channels.items() if source.time}
     # Entries of cells and arrays may have short names like those of the plain structs beside them.
-    plain = [name for name in known if selection.signals is None or not is_entry(name)]
+    plain = [name for name in channels if selection.signals is None or not is_entry(name)]
     try:
         matches = match_clocked_channels(path, plain, selection, clocked)
     except LogError:
-        matches = match_clocked_channels(path, list(known), selection, clocked)
-    selected = {requested: known[name] for requested, name in matches.items()}
+        matches = match_clocked_channels(path, list(channels), selection, clocked)
+    selected = {requested: channels[name] for requested, name in matches.items()}
     is_named = selection.signals is not None and selection.time in matches
     return _without_periods(selected) if is_named else selected
 
@@ -106,7 +108,7 @@ def _channels(path: Path, selected: Mapping[str, ChannelSource], *, strict: bool
         if values.dtype.kind not in "fiub":
             if strict:
                 raise LogError(path, "expected a real numeric vector", column=requested)
-            continue  # whether a vector is complex is known only after reading
+            continue  # only reading shows whether a vector is complex
         clock_s = None
         if source.time is not None:
             if id(source.time) not in clocks:
