@@ -6,17 +6,22 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from hitchid._support.precision import double_precision
 from hitchid.errors import LogError
 from hitchid.identification.dead_zone import (
     CANDIDATES,
+    LAGS_S,
+    SEARCH_TOLERANCE,
     from_onsets,
     from_ramps,
     from_tests,
     ramp_rate,
     response_delay,
+    with_dynamics,
 )
 from hitchid.logs.record import LIFTING, LOWERING
-from truth import STEP_S, held, levels, shifted
+from hitchid.structures import Batch
+from truth import STEP_S, held, levels, second_order, shifted
 
 # The current sensor of the bench: 0.3 % of 3 A. Nobody can read a dead zone better off its logs.
 SENSOR_A = 0.009
@@ -49,6 +54,11 @@ def test_a_ramps_onset_is_found_whatever_flow_and_drift(ramp, dead_zone, power, 
     zone = from_ramps([record], mode, direction)
     assert abs(zone.value - dead_zone) <= SENSOR_A
     assert (zone.spread, zone.count, zone.origin) == (None, 1, "ramps")
+
+
+@pytest.mark.parametrize("drift", [-0.5, 0.0])
+def test_a_ramp_over_a_valve_without_dead_zone_shows_none(ramp, drift):
+    assert from_ramps([ramp(0.0, drift=drift, noise=0.01)], LIFTING, 1).value <= SENSOR_A
 
 
 def test_repeats_give_their_mean_and_their_spread(ramp):
@@ -139,6 +149,11 @@ def test_one_level_of_command_does_not_tell_the_dead_zone(noise):
     assert (zone.value, zone.spread, zone.count, zone.origin) == (0.0, 0.4, 3, "none")
 
 
+def test_a_delay_shorter_than_the_shortest_lag_may_be_half_of_it():
+    rng = np.random.default_rng(0)
+    assert response_delay([dynamic(rng, 0.35) for _ in range(4)], 0.35, STEP_S) == 0.5 * LAGS_S[0]
+
+
 @pytest.mark.parametrize("delay_s", [0.1, 0.3])
 def test_a_fast_ramp_makes_the_dead_zone_less_sure(ramp, delay_s):
     rng = np.random.default_rng(0)
@@ -175,3 +190,21 @@ def test_a_dead_zone_at_the_grids_end_has_an_error():
     zone = from_tests([(u, w, np.ones(SAMPLES, bool)) for u, w in zip(command, travels, strict=True)], STEP_S)
     assert zone.error.standard_error >= 0
     assert zone.value + zone.error.standard_error >= 0.9
+
+
+@pytest.mark.parametrize(
+    ("omega", "damping", "dead_samples"), [(6.0, 0.15, 0), (10.0, 1.5, 20), (60.0, 0.3, 20)]
+)
+@double_precision
+def test_dynamics_that_no_sum_of_lags_is_do_not_move_a_dead_zone(make_record, omega, damping, dead_samples):
+    rng = np.random.default_rng(0)
+    records = []
+    for _ in range(4):
+        command = levels(rng, SAMPLES, low=0.1)
+        travel = held(*second_order(30.0, omega, damping), np.maximum(command - 0.35, 0.0))
+        records.append(make_record(shifted(travel, dead_samples), command))
+    tests = [(record.command(LIFTING), record.displacement, np.ones(SAMPLES, bool)) for record in records]
+    first = from_tests(tests, STEP_S)
+    zone = with_dynamics(first, Batch.of(records, LIFTING, dead_zone=first.value, sign=1))
+    assert abs(zone.value - 0.35) <= SEARCH_TOLERANCE < abs(first.value - 0.35)
+    assert (zone.spread, zone.count, zone.origin) == (first.spread, 4, "tests")

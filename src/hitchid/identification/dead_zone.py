@@ -1,21 +1,26 @@
 """Dead zone of the command, from slow ramps or, without them, from dynamic tests."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
-from scipy.optimize import nnls
+from scipy.optimize import minimize_scalar, nnls
 from scipy.signal import lfilter
 
 from hitchid._support.records import short_repr
-from hitchid.errors import LogError
+from hitchid.errors import FitError, LogError
+from hitchid.estimation import Objective, refine_subset
+from hitchid.identification.candidates import MIDDLE, SECOND_ORDER_STARTS
 from hitchid.logs.kinds import ACTIVE_FRACTION, effective_command
 from hitchid.logs.record import Record
 from hitchid.model import Quantity, make_quantity
+from hitchid.structures import Batch, ModelSpec, structure_named
 from hitchid.uncertainty import NO_ERROR, DeadZoneError
 from hitchid.uncertainty.scores import t_quantile
 
 CANDIDATES = 400  # grid points of the dead zone, 0.25 % of the largest command apart; chosen
+LARGEST_SHARE = 0.95  # largest dead zone of tests, share of the largest command; chosen
 FLAT_TOLERANCE = 1e-3  # share of the largest residual sum by which dead zones must differ; chosen
 ROUNDING = 1e-6  # share of the travel's energy below which residual sums are rounding errors
 MIN_RESIDUAL_REDUCTION = 0.2  # share of the drift's residual norm that motion must explain; chosen
@@ -25,6 +30,13 @@ SAMPLES, MAX_ELEMENTS = 2048, 1_000_000  # of a test; elements of an array: limi
 # Lags, s, at sampling times up to FAST_STEP_S, s; at longer ones multiplied by `slow_clock_factor`. Chosen to
 # cover the lags of hydraulics.
 LAGS_S, FAST_STEP_S = (0.03, 0.1, 0.3, 1.0), 0.1
+# With which a dead zone of tests is found again, and where their dead time starts between its bounds.
+DYNAMICS, DEAD_TIME_STARTS = ModelSpec(structure_named("integrator-second-order"), dead_time=True), (0.1, 0.6)
+# Shares of the largest command: distances from the first dead zone at which it is looked for, and how finely
+# between them; positions of the dynamics that are tried with the first one, and with each other one. Chosen.
+SHARES, SEARCH_TOLERANCE = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.25), 2e-4
+FIRST_STEPS, STEPS = 40, 10
+CLEAR_RATIO = 2.0  # by which another dead zone must reduce the error to be taken; chosen
 
 
 @short_repr
@@ -107,7 +119,10 @@ def ramp_onset(record: Record, direction: str, sign: int) -> float:
         return columns - drift @ (drift.T @ columns)
 
     target = without_drift(travel)
-    candidates = np.linspace(ramp.max() * ACTIVE_FRACTION, ramp.max(), CANDIDATES, endpoint=False)
+    # As fine as where a line was laid through the command, and on below it: a valve may have no dead zone.
+    lowest = ramp.max() * ACTIVE_FRACTION
+    step = (ramp.max() - lowest) / CANDIDATES
+    candidates = lowest + step * np.arange(-int(lowest / step), CANDIDATES)
 
     def residual_norm(dead_zone: float) -> float:
         excess = np.maximum(ramp - dead_zone, 0.0) / ramp.max()
@@ -142,14 +157,16 @@ def response_delay(
 ) -> float:
     """Return the response delay of dynamic tests, s.
 
-    The median of the lags of `from_tests`, weighted by their gains at a given dead zone.
+    The median of the lags of `from_tests`, weighted by their gains at a given dead zone; half of the shortest
+    where that is none, for a shorter one cannot be told from it.
     """
     products = [_normal_equations(*test, np.array([dead_zone]), step_s, 1) for test in tests]
     ((gains, _),) = _gains(np.concatenate(products).sum(axis=0))
     if not gains.any():
         return 0.0
     share = np.cumsum(gains) / gains.sum()
-    return (0.0, *_lags_s(step_s))[int(np.searchsorted(share, 0.5))]
+    lags_s = _lags_s(step_s)
+    return (0.5 * lags_s[0], *lags_s)[int(np.searchsorted(share, 0.5))]
 
 
 def from_tests(tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], step_s: float) -> DeadZone:
@@ -167,7 +184,7 @@ def from_tests(tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], step_
         with origin `none` and half of the largest command as spread.
     """
     largest = max(float(np.abs(command).max()) for command, _, _ in tests)
-    candidates = np.linspace(0.0, 0.95 * largest, CANDIDATES)
+    candidates = np.linspace(0.0, LARGEST_SHARE * largest, CANDIDATES)
     stretches = -(-MIN_GROUPS // len(tests))
     normal = np.concatenate([_normal_equations(*test, candidates, step_s, stretches) for test in tests])
     total = normal.sum(axis=0)
@@ -183,6 +200,51 @@ def from_tests(tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], step_
     if not error:
         error = _half_width_without_jackknife(candidates, sums)
     return DeadZone(best, float(error), len(tests), "tests")
+
+
+def with_dynamics(dead_zone: DeadZone, tests: Batch) -> DeadZone:
+    """Return a dead zone of dynamic tests after it was found again with a second-order lag and a dead time.
+
+    d = argmin min_θ J(θ, d), J the free-run error of `find_parameters`, up to a quarter of the largest
+    command from the first one. The lags of `from_tests` are few and fixed: a plant that they do not describe
+    seems to open too late or too early, by more than the jackknife shows. Where this halves J, it is taken.
+    Otherwise other errors, of a valve curve say, may have moved it: the difference counts as standard error.
+    """
+    if dead_zone.origin != "tests":
+        return dead_zone
+    coarse, names = tests.coarse(), [parameter.name for parameter in DYNAMICS.parameters]
+    largest = float(np.abs(np.asarray(tests.raw_command)).max())
+    starts = [
+        np.array([{**lags, "dead_time": dead_time}.get(name, MIDDLE) for name in names])
+        for lags, dead_time in product(SECOND_ORDER_STARTS, DEAD_TIME_STARTS)
+    ]
+    try:
+        objective, free = Objective.of(coarse, DYNAMICS), range(len(names))
+        fits = {dead_zone.value: refine_subset(objective, free, starts, FIRST_STEPS)}
+
+        def error(value: float) -> float:
+            objective_there = objective.with_data(coarse.with_dead_zone(value))
+            best = min(fits.values(), key=lambda fit: fit.fitness)
+            fit = refine_subset(objective_there, free, [best.position], STEPS)
+            fits[value] = min(fit, fits.get(value, fit), key=lambda fit: fit.fitness)
+            return fits[value].fitness
+
+        # From the first one outwards, each from the best dynamics so far: there may be more minima than one.
+        distances = largest * np.array([*SHARES, *np.negative(SHARES)])
+        grid = np.unique(np.clip(dead_zone.value + distances, 0.0, LARGEST_SHARE * largest)).tolist()
+        for value in sorted(set(grid) - set(fits), key=lambda value: abs(value - dead_zone.value)):
+            error(value)
+        lowest = grid.index(min(grid, key=lambda value: fits[value].fitness))
+        ends = grid[max(lowest - 1, 0)], grid[min(lowest + 1, len(grid) - 1)]
+        minimize_scalar(error, bounds=ends, options={"xatol": SEARCH_TOLERANCE * largest})
+        # The first one had none to start from: no dead zone is better for its better start.
+        error(dead_zone.value)
+    except FitError:
+        return dead_zone
+    best = float(min(fits, key=lambda value: fits[value].fitness))
+    if fits[dead_zone.value].fitness >= CLEAR_RATIO * fits[best].fitness:
+        return replace(dead_zone, value=best)
+    return replace(dead_zone, spread=max(dead_zone.spread or 0.0, abs(best - dead_zone.value)))
 
 
 def _half_width_without_jackknife(candidates: np.ndarray, groups: np.ndarray) -> float:

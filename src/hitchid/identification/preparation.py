@@ -14,6 +14,7 @@ from hitchid.identification.dead_zone import (
     ramp_onset,
     ramp_rate,
     response_delay,
+    with_dynamics,
 )
 from hitchid.logs.audit import find_end_stop, update_interval
 from hitchid.logs.audit.context import quality
@@ -113,9 +114,15 @@ def prepare(
         dead_zone = from_tests(signals, campaign.step_s)
     if dead_zone.origin == "none":
         notices.append("the dead zone cannot be identified from one level of command; zero is used")
-    all_tests = Batch.of(
-        records, direction, dead_zone=dead_zone.value, sign=sign, end_stop=end_stop, covariates=covariates
-    )
+
+    def behind(dead_zone: DeadZone) -> Batch:
+        """Return the tests behind a dead zone."""
+        return Batch.of(
+            records, direction, dead_zone=dead_zone.value, sign=sign, end_stop=end_stop, covariates=covariates
+        )
+
+    dead_zone = with_dynamics(dead_zone, behind(dead_zone))
+    all_tests = behind(dead_zone)
     training, validation, validation_rows = split_validation(all_tests)
     if len(records) == 1:
         notices.append("only one test: its last quarter is used for early stopping")

@@ -1,7 +1,7 @@
 """Scatter of the speed between tests due to a load that nobody measures: a mixed-effects model."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -262,7 +262,8 @@ def _most_likely(contrasts: Contrasts) -> float:
     grid = np.concatenate([[0.0], np.geomspace(SMALLEST / contrasts.sensitivities.max(), MAX_SCATTER, GRID)])
     best = int(np.argmin([contrasts.negative_log_likelihood(scatter) for scatter in grid]))
     around = (float(grid[max(best - 1, 0)]), float(grid[min(best + 1, GRID)]))
-    result = minimize_scalar(contrasts.negative_log_likelihood, bounds=around, options={"xatol": TOLERANCE})
+    tolerance = {"xatol": TOLERANCE}
+    result: Any = minimize_scalar(contrasts.negative_log_likelihood, bounds=around, options=tolerance)
     scatter = float(result.x)
     is_better = contrasts.negative_log_likelihood(scatter) < contrasts.negative_log_likelihood(0.0)
     return scatter if is_better else 0.0
