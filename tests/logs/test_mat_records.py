@@ -151,6 +151,12 @@ def test_arrays_keep_the_names_that_they_have_in_the_file(saved):
     np.testing.assert_array_equal(read(path, ChannelSelection("t", ("x",))).channels["x"].values, STROKE)
 
 
+def test_an_input_under_both_of_its_names_is_one_and_a_notice_says_so(saved):
+    twice = read(saved({"d": {**IDDATA, "u": COMMANDS}}), ALL)
+    assert sorted(twice.channels) == sorted(read(saved({"d": IDDATA}), ALL).channels)
+    assert any("u is as large as InputData and taken for the same" in notice for notice in twice.notices)
+
+
 def test_no_field_with_samples_is_lost(saved):
     data = {"u": LIFTING[:30], "y": STROKE, "Ts": 0.02, "Period": LOWERING}
     assert sorted(read(saved({"run": data}), ALL).channels) == ["run/Period", "run/u", "run/y"]

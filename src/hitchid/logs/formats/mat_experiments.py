@@ -54,9 +54,14 @@ def experiments(name: str, node: Mapping[str, object]) -> Record:
     notes = [f"{len(lengths)} experiments; each becomes a record of its own"] if len(lengths) > 1 else []
     if not unit:
         notes.append("no TimeUnit says otherwise, so its sampling time is taken for s")
-    note = f"{name or 'the file'}: {'; '.join(notes)}" if notes else None
     # A sampling time, or one for each input or experiment, is no signal.
     used = [field for field in OF_CLOCK if field in node and lengths_of(node[field]) != lengths]
+    for first, second in (INPUTS, OUTPUTS):
+        shapes, twins = ([leaf.shape for leaf in leaves_of(node.get(field))] for field in (first, second))
+        if shapes and shapes == twins:
+            notes.append(f"{second} is as large as {first} and taken for the same")
+            used.append(second)
+    note = f"{name or 'the file'}: {'; '.join(notes)}" if notes else None
     pairs: Named = []
     for field in dict.fromkeys((first_of(node, INPUTS) or "", output or "", *node)):
         leaves = leaves_of(node.get(field))
@@ -73,9 +78,7 @@ def experiments(name: str, node: Mapping[str, object]) -> Record:
             # A name that another field has stays that field's.
             is_free = label not in node or label in same
             pairs.append((join(name, label) if label and is_free else column, channel))
-        # What `get` returns under two names is one thing.
-        shapes = [leaf.shape for leaf in leaves]
-        used += [twin for twin in same if columns and [x.shape for x in leaves_of(node.get(twin))] == shapes]
+        used += [field] if columns else []
     # Without a unit they may be wanted as the time, with one that the user knows.
     return (*used, *(["SamplingInstants"] if unit else [])), pairs
 
