@@ -2,6 +2,7 @@
 
 import re
 import subprocess
+import tomllib
 from datetime import UTC, datetime
 from pathlib import Path
 from zipfile import ZipFile
@@ -11,6 +12,7 @@ from tools import release, site
 
 ROOT = Path(__file__).parents[1]
 DATE = datetime(2026, 1, 2, tzinfo=UTC)
+VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
 DATA = {
     "hitchid/py.typed",
     "hitchid/report/templates/page.html",
@@ -49,9 +51,8 @@ def test_the_wheel_holds_the_package_and_nothing_else(built):
     assert packaged >= DATA
     metadata = {name.partition(".dist-info/")[2] for name in names - packaged}
     assert metadata == {"METADATA", "WHEEL", "RECORD", "entry_points.txt", "licenses/LICENSE"}
-    version, _ = release.stated_version(ROOT)
-    release.check_metadata(wheel, version)
-    assert sdist.name == f"hitchid-{version}.tar.gz"
+    release.check_metadata(wheel, VERSION)
+    assert sdist.name == f"hitchid-{VERSION}.tar.gz"
 
 
 @pytest.mark.long
@@ -98,23 +99,22 @@ def test_hashes_are_those_that_sha256sum_checks(tmp_path):
 
 
 def test_versions_of_the_pages_are_listed_from_the_newest_on(tmp_path, monkeypatch):
-    own, _ = release.stated_version(ROOT)
     built = []
     monkeypatch.setattr(site, "build", lambda tree, out, version, newest: built.append((version, newest)))
     tags = {"--list": "v0.1.9\nv0.1.10\nvnext\n", "--points-at": ""}
     monkeypatch.setattr(site, "git", lambda *said: tags.get(said[1], "") if said[0] == "tag" else "")
     site.main(tmp_path)
-    assert built == [(own, own), ("0.1.10", own), ("0.1.9", own)]
+    assert built == [(VERSION, VERSION), ("0.1.10", VERSION), ("0.1.9", VERSION)]
     listed = re.findall(r'<a href="(\S+)/index\.html">', (tmp_path / "index.html").read_text())
-    assert listed == [own, "0.1.10", "0.1.9"]
+    assert listed == [VERSION, "0.1.10", "0.1.9"]
     # After the release of this version the tree is another one.
     built.clear()
-    tags["--list"] += f"v{own}\n"
+    tags["--list"] += f"v{VERSION}\n"
     site.main(tmp_path)
-    assert built == [(own, own), ("0.1.10", own), ("0.1.9", own), ("next", own)]
+    assert built == [(VERSION, VERSION), ("0.1.10", VERSION), ("0.1.9", VERSION), ("next", VERSION)]
 
 
 def test_a_file_that_is_too_large_is_no_release(built, monkeypatch):
     monkeypatch.setattr(release, "MAX_BYTES", 1000)
     with pytest.raises(release.ReleaseError, match="expected at most 1000"):
-        release.check_metadata(built[1], release.stated_version(ROOT)[0])
+        release.check_metadata(built[1], VERSION)
