@@ -1,6 +1,7 @@
 """Dead zones found again from made-up ramps and dynamic tests."""
 
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -192,19 +193,60 @@ def test_a_dead_zone_at_the_grids_end_has_an_error():
     assert zone.value + zone.error.standard_error >= 0.9
 
 
+def zones(records):
+    """Return the dead zone of tests with lifting commands, and the tests behind it."""
+    tests = [(record.command(LIFTING), record.displacement, np.ones(len(record), bool)) for record in records]
+    first = from_tests(tests, STEP_S)
+    return first, Batch.of(records, LIFTING, dead_zone=first.value, sign=1)
+
+
+def lagging(command, omega, damping):
+    """Return the travel of a second-order lag behind a dead zone of 0.35."""
+    return held(*second_order(30.0, omega, damping), np.maximum(command - 0.35, 0.0))
+
+
 @pytest.mark.parametrize(
     ("omega", "damping", "dead_samples"), [(6.0, 0.15, 0), (10.0, 1.5, 20), (60.0, 0.3, 20)]
 )
 @double_precision
 def test_dynamics_that_no_sum_of_lags_is_do_not_move_a_dead_zone(make_record, omega, damping, dead_samples):
     rng = np.random.default_rng(0)
-    records = []
-    for _ in range(4):
-        command = levels(rng, SAMPLES, low=0.1)
-        travel = held(*second_order(30.0, omega, damping), np.maximum(command - 0.35, 0.0))
-        records.append(make_record(shifted(travel, dead_samples), command))
-    tests = [(record.command(LIFTING), record.displacement, np.ones(SAMPLES, bool)) for record in records]
-    first = from_tests(tests, STEP_S)
-    zone = with_dynamics(first, Batch.of(records, LIFTING, dead_zone=first.value, sign=1))
+    commands = [levels(rng, SAMPLES, low=0.1) for _ in range(4)]
+    first, tests = zones(
+        [make_record(shifted(lagging(u, omega, damping), dead_samples), u) for u in commands]
+    )
+    zone = with_dynamics(first, tests)
     assert abs(zone.value - 0.35) <= SEARCH_TOLERANCE < abs(first.value - 0.35)
     assert (zone.spread, zone.count, zone.origin) == (first.spread, 4, "tests")
+
+
+@double_precision
+def test_tests_that_are_looked_at_on_a_coarse_clock_have_the_same_dead_zone(make_record):
+    time_s = STEP_S * np.arange(6000)
+    commands = [0.5 - 0.5 * np.cos(2 * np.pi * hertz * time_s) for hertz in (0.2, 0.3, 0.4, 0.5)]
+    first, tests = zones([make_record(lagging(command, 6.0, 0.3), command) for command in commands])
+    assert tests.coarse().command.shape[1] < tests.command.shape[1]
+    assert abs(with_dynamics(first, tests).value - 0.35) <= 5 * SEARCH_TOLERANCE < abs(first.value - 0.35)
+
+
+@double_precision
+def test_where_noise_hides_which_is_right_the_difference_is_the_error(make_record):
+    rng = np.random.default_rng(0)
+    commands = [levels(rng, SAMPLES, low=0.1) for _ in range(4)]
+    noisy = [lagging(u, 10.0, 1.5) + 2.0 * rng.standard_normal(SAMPLES) for u in commands]
+    first, tests = zones([make_record(x, u) for x, u in zip(noisy, commands, strict=True)])
+    wrong = replace(first, value=0.37, spread=1e-4)
+    zone = with_dynamics(wrong, tests)
+    assert zone.value == 0.37
+    assert 0.01 <= zone.spread <= 0.03
+
+
+@double_precision
+def test_a_dead_zone_at_the_edge_of_the_search_is_as_uncertain_as_it_moved(make_record):
+    rng = np.random.default_rng(0)
+    commands = [levels(rng, SAMPLES, low=0.1) for _ in range(4)]
+    first, tests = zones([make_record(lagging(u, 10.0, 1.5), u) for u in commands])
+    zone = with_dynamics(replace(first, value=0.05, spread=1e-4), tests)
+    assert zone.value == pytest.approx(0.05 + zone.spread)
+    lower, upper = zone.to_quantity("A").interval
+    assert lower <= 0.35 <= upper

@@ -46,8 +46,9 @@ class DeadZone:
 
     Attributes:
         value: dead zone, in the command's unit.
-        spread: standard deviation over repeated ramps, or the jackknife's standard error over dynamic tests,
-            in the command's unit; None where it is not available.
+        spread: standard deviation over repeated ramps, or the standard error over dynamic tests (the
+            jackknife's, or what other dynamics move it by), in the command's unit; None where it is not
+            available.
         count: number of ramps or tests.
         origin: `ramps`, `tests`, `given` or `none` (not determined by the data, taken as zero).
         delay_rise: rise of the ramps' command during the delay of the plant, in the command's unit.
@@ -61,7 +62,7 @@ class DeadZone:
 
     @property
     def error(self) -> DeadZoneError:
-        """Standard error: of the mean over ramps combined with their delay, or the jackknife's."""
+        """Standard error: of the mean over ramps combined with their delay, or over dynamic tests."""
         if self.spread is None and not self.delay_rise:
             return NO_ERROR
         spread = self.spread or 0.0
@@ -119,7 +120,7 @@ def ramp_onset(record: Record, direction: str, sign: int) -> float:
         return columns - drift @ (drift.T @ columns)
 
     target = without_drift(travel)
-    # As fine as where a line was laid through the command, and on below it: a valve may have no dead zone.
+    # Below the part of the ramp that a line was laid through, too: a valve may have no dead zone.
     lowest = ramp.max() * ACTIVE_FRACTION
     step = (ramp.max() - lowest) / CANDIDATES
     candidates = lowest + step * np.arange(-int(lowest / step), CANDIDATES)
@@ -207,23 +208,25 @@ def with_dynamics(dead_zone: DeadZone, tests: Batch) -> DeadZone:
 
     d = argmin min_θ J(θ, d), J the free-run error of `find_parameters`, up to a quarter of the largest
     command from the first one. The lags of `from_tests` are few and fixed: a plant that they do not describe
-    seems to open too late or too early, by more than the jackknife shows. Where this halves J, it is taken.
-    Otherwise other errors, of a valve curve say, may have moved it: the difference counts as standard error.
+    seems to open too late or too early, by more than the jackknife shows. Where this halves J, it is taken,
+    with the standard error of the first; otherwise, and at the edge of the search, the difference counts as
+    standard error. A valve curve moves both alike: its effect is in neither.
     """
     if dead_zone.origin != "tests":
         return dead_zone
-    coarse, names = tests.coarse(), [parameter.name for parameter in DYNAMICS.parameters]
+    first, names = dead_zone.value, [parameter.name for parameter in DYNAMICS.parameters]
     largest = float(np.abs(np.asarray(tests.raw_command)).max())
     starts = [
         np.array([{**lags, "dead_time": dead_time}.get(name, MIDDLE) for name in names])
         for lags, dead_time in product(SECOND_ORDER_STARTS, DEAD_TIME_STARTS)
     ]
     try:
-        objective, free = Objective.of(coarse, DYNAMICS), range(len(names))
-        fits = {dead_zone.value: refine_subset(objective, free, starts, FIRST_STEPS)}
+        objective, free = Objective.of(tests.with_dead_zone(first).coarse(), DYNAMICS), range(len(names))
+        fits = {first: refine_subset(objective, free, starts, FIRST_STEPS)}
 
         def error(value: float) -> float:
-            objective_there = objective.with_data(coarse.with_dead_zone(value))
+            # First the dead zone, then the coarse clock: the mean of what is beyond it is not the mean's.
+            objective_there = objective.with_data(tests.with_dead_zone(value).coarse())
             best = min(fits.values(), key=lambda fit: fit.fitness)
             fit = refine_subset(objective_there, free, [best.position], STEPS)
             fits[value] = min(fit, fits.get(value, fit), key=lambda fit: fit.fitness)
@@ -231,20 +234,24 @@ def with_dynamics(dead_zone: DeadZone, tests: Batch) -> DeadZone:
 
         # From the first one outwards, each from the best dynamics so far: there may be more minima than one.
         distances = largest * np.array([*SHARES, *np.negative(SHARES)])
-        grid = np.unique(np.clip(dead_zone.value + distances, 0.0, LARGEST_SHARE * largest)).tolist()
-        for value in sorted(set(grid) - set(fits), key=lambda value: abs(value - dead_zone.value)):
+        grid = np.unique(np.clip(first + distances, 0.0, LARGEST_SHARE * largest)).tolist()
+        for value in sorted(set(grid) - set(fits), key=lambda value: abs(value - first)):
             error(value)
         lowest = grid.index(min(grid, key=lambda value: fits[value].fitness))
         ends = grid[max(lowest - 1, 0)], grid[min(lowest + 1, len(grid) - 1)]
         minimize_scalar(error, bounds=ends, options={"xatol": SEARCH_TOLERANCE * largest})
         # The first one had none to start from: no dead zone is better for its better start.
-        error(dead_zone.value)
+        error(first)
     except FitError:
         return dead_zone
     best = float(min(fits, key=lambda value: fits[value].fitness))
-    if fits[dead_zone.value].fitness >= CLEAR_RATIO * fits[best].fitness:
-        return replace(dead_zone, value=best)
-    return replace(dead_zone, spread=max(dead_zone.spread or 0.0, abs(best - dead_zone.value)))
+    is_clear = fits[first].fitness >= CLEAR_RATIO * fits[best].fitness
+    is_at_edge = lowest == len(grid) - 1 or (lowest == 0 and grid[0] > 0)
+    spread = dead_zone.spread or 0.0
+    wider = max(spread, abs(best - first))
+    return replace(
+        dead_zone, value=best if is_clear else first, spread=spread if is_clear and not is_at_edge else wider
+    )
 
 
 def _half_width_without_jackknife(candidates: np.ndarray, groups: np.ndarray) -> float:
