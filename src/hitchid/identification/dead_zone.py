@@ -159,7 +159,7 @@ def response_delay(
     """Return the response delay of dynamic tests, s.
 
     The median of the lags of `from_tests`, weighted by their gains at a given dead zone; half of the shortest
-    where that is none, for a shorter one cannot be told from it.
+    where that is none, for the tests do not distinguish a shorter one.
     """
     products = [_normal_equations(*test, np.array([dead_zone]), step_s, 1) for test in tests]
     ((gains, _),) = _gains(np.concatenate(products).sum(axis=0))
@@ -247,11 +247,10 @@ def with_dynamics(dead_zone: DeadZone, tests: Batch) -> DeadZone:
     best = float(min(fits, key=lambda value: fits[value].fitness))
     is_clear = fits[first].fitness >= CLEAR_RATIO * fits[best].fitness
     is_at_edge = lowest == len(grid) - 1 or (lowest == 0 and grid[0] > 0)
-    spread = dead_zone.spread or 0.0
-    wider = max(spread, abs(best - first))
-    return replace(
-        dead_zone, value=best if is_clear else first, spread=spread if is_clear and not is_at_edge else wider
-    )
+    if is_clear and not is_at_edge:
+        return replace(dead_zone, value=best)
+    spread = max(dead_zone.spread or 0.0, abs(best - first))
+    return replace(dead_zone, value=best if is_clear else first, spread=spread)
 
 
 def _half_width_without_jackknife(candidates: np.ndarray, groups: np.ndarray) -> float:

@@ -57,7 +57,8 @@ class ChannelSource(NamedTuple):
         values, unit: the samples, and their unit as stored.
         time, time_unit: the clock, and its unit.
         note: what was assumed.
-        from_period: whether the clock comes from a sampling time alone, before which a named time goes.
+        from_period: whether a time that is named goes before the clock, which comes from a sampling time
+            alone, or has a unit that is assumed.
         alias: name of the array in the file, where the channel has a better one.
     """
 
